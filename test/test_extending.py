@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from hostile import POSTURE, settings
 
-from kr270_milling.physics.cutting.fractional import FractionalLaw
+from kr270_milling.physics.cutting.laws import FractionalLaw
 
 ROOT = Path(__file__).resolve().parents[1]
 GUIDE = [ROOT / "kr270_milling/guide/contributing" / page for page in ("extending.md", "cam_language.md")]
@@ -225,7 +225,7 @@ def test_a_package_of_somebody_else_adds_law_method_and_reader_to_every_command(
 
 MINE = """
 from dataclasses import dataclass
-from kr270_milling.physics.cutting.fractional import FractionalLaw
+from kr270_milling.physics.cutting.laws import FractionalLaw
 class Other:
     name = "other"
     def revise(self, task): ...

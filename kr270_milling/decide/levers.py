@@ -21,11 +21,9 @@ from kr270_milling.cell.jobs import PLANNED, compensated, compensator, simulate
 from kr270_milling.cell.models import path_of
 from kr270_milling.cell.plant import coarser
 from kr270_milling.decide.decision import ENOUGH
-from kr270_milling.decide.part.assessment import assess_result
-from kr270_milling.decide.part.stations import stations_of
-from kr270_milling.decide.part.surface import ideal_part
+from kr270_milling.decide.part.assessment import Judgement, assess_result, judge_part
+from kr270_milling.decide.part.surface import ideal_part, stations_of
 from kr270_milling.decide.programs.written import written_trajectory
-from kr270_milling.decide.tolerance import Judgement, judge_part
 from kr270_milling.decide.verdict import CHOOSING_SEED, NO_METHOD, drawn_errors
 from kr270_milling.path.toolpath import Toolpath
 from kr270_milling.path.trajectory import Trajectory
@@ -33,15 +31,9 @@ from kr270_milling.physics.motion.milling_pass import PassResult
 
 RATIOS = (1.0, 1.1, 1.25, 1.5)  #: cycle times of softer ramps, of the programmed one; also feeds stay below the last
 NEEDS = "needs part.tolerance_um, and a program without times in path.file"
-SOFTEST = 0.02  #: share of the programmed acceleration
 QUICK = "inverse"  #: method that plans while feeds are chosen; ``robust`` takes eight times as long
-STRETCH = 0.25  #: [s] of a stretch at the programmed feed: ramps of 2 m/s2 and 20 m/s3 to 4 m/min take 0.12 s
-CORNER = 0.1  #: [rad], turn of the path that ends a stretch
 ROUNDS = 4  #: feeds that are tried; each plans the correction again
-SLOWEST = 0.25  #: share of the programmed feed, above that of the least chip
-UNMOVED = 0.9  #: share of a deviation that would remain at no feed, above which the feed stays
 FAILED = 1e6  #: error of a robot that fails, as a share of the tolerance
-AIM = 0.95  #: load at which the feeds aim: the linear rule misses by some percent
 
 
 @dataclass(frozen=True)
@@ -79,7 +71,8 @@ class Lever:
 
 def softened(cell: Cell, ratio: float) -> Cell:
     """Return the cell with softer ramps, so that its path takes at most ``ratio`` times as long."""
-    limit, low, high = ratio * path_of(cell).target.duration_ns, SOFTEST, 1.0
+    # shares of the programmed acceleration
+    limit, low, high = ratio * path_of(cell).target.duration_ns, 0.02, 1.0
     for _ in range(12):  # to 0.1 % of the acceleration
         share = 0.5 * (low + high)
         slow = path_of(_with_share(cell, share)).target.duration_ns > limit
@@ -110,6 +103,7 @@ def scheduled(
     method: that plans the correction in these rounds; motion: of the programs; count(done, total): in robots;
     longest [ns]: duration of the path, default ``RATIOS[-1]`` times the programmed one.
     """
+    aim = 0.95  # load at which the feeds aim: the linear rule misses by some percent
     path, settings = cell.path.loaded().read(), cell.compensation
     if not isinstance(path, Toolpath) or not any(cell.tolerances.of()):
         raise InputError("compensation.feed", NEEDS)
@@ -118,7 +112,8 @@ def scheduled(
     feed, fixed = path.feed[path.block_at(middle)], (path.rapid | path.drilling)[path.block_at(middle)]
     pitch = 2.0 * np.pi / (cell.tool.spindle_speed * cell.tool.teeth)
     chip = np.maximum(feed * pitch, 1e-12)  # [m], feed per tooth
-    least = np.minimum(1.0, np.maximum(SLOWEST, cell.limits.least_chip / chip))
+    # share of the programmed feed, above that of the least chip
+    least = np.minimum(1.0, np.maximum(0.25, cell.limits.least_chip / chip))
     most = np.full(len(ends), settings.feed_most)
     if cell.tool.max_feed_per_tooth:
         most = np.minimum(most, np.maximum(cell.tool.max_feed_per_tooth / chip, least))
@@ -146,10 +141,11 @@ def scheduled(
             moved = share - before[1]
             own = np.abs(moved) > 0.02
             slope = np.where(own, (loads - before[0]) / np.where(own, moved, 1.0), slope)
-        still = slope * share < (1.0 - UNMOVED) * loads
+        # the feed stays where less than this share of the deviation comes from it
+        still = slope * share < 0.1 * loads
         silent = (still & (loads > 1.0)).any(axis=0)
-        wanted = share + (AIM - loads) / np.maximum(slope, 1e-9)
-        wanted = np.where(still, np.where(loads > AIM, 1.0, np.inf), wanted)
+        wanted = share + (aim - loads) / np.maximum(slope, 1e-9)
+        wanted = np.where(still, np.where(loads > aim, 1.0, np.inf), wanted)
         before, share = (loads, share), np.clip(wanted.min(axis=0), least, most)
         share = _within_time(cell, path, ends, share, min(longest, RATIOS[-1] * programmed))
         if np.abs(share - before[1]).max() < 0.01:
@@ -184,15 +180,17 @@ def _within_time(cell: Cell, path: Toolpath, ends: np.ndarray, share: np.ndarray
 
 def _stretches(path: Toolpath) -> np.ndarray:
     """Ends of the stretches [m]: pieces of ``STRETCH`` of a cut, which ends at a corner or with its feed or feature."""
+    usual = 0.25  # [s] of a stretch at the programmed feed: ramps of 2 m/s2 and 20 m/s3 to 4 m/min take 0.12 s
     k = np.arange(1, len(path))
     start, end = path.tangent(k, np.zeros(k.size)), path.tangent(k, path.plane_length[k])
-    corner = np.sum(start[1:] * end[:-1], axis=1) < np.cos(CORNER)
+    # [rad], turn of the path that ends a stretch
+    corner = np.sum(start[1:] * end[:-1], axis=1) < np.cos(0.1)
     changed = [values[2:] != values[1:-1] for values in (path.feed, path.rapid, path.drilling, path.feature)]
     last = np.append(np.flatnonzero(np.logical_or.reduce([corner, *changed])) + 1, len(path) - 1)
     border = np.cumsum(path.block_length)[last]
     length = np.diff(border, prepend=0.0)
     steady = path.rapid[last] | path.drilling[last]
-    count = np.where(steady, 1, np.ceil(length / np.maximum(path.feed[last] * STRETCH, 1e-6))).astype(int)
+    count = np.where(steady, 1, np.ceil(length / np.maximum(path.feed[last] * usual, 1e-6))).astype(int)
     return np.repeat(border - length, count) + np.repeat(length / count, count) * (
         1 + np.arange(count.sum()) - np.repeat(np.cumsum(count) - count, count)
     )

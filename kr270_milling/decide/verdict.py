@@ -26,7 +26,7 @@ from kr270_milling.cell.jobs import (
 )
 from kr270_milling.cell.models import arm_model_of, cut_of, flat_floors, path_of
 from kr270_milling.cell.plant import DIVERGED, Plant, coarser, cores, imperfect_arm, imperfect_course, perturbed
-from kr270_milling.decide.tolerance import NORMAL_ERROR, PATH_DEVIATION, SURFACE_ERROR, Gauge, gauge_of
+from kr270_milling.decide.part.assessment import NORMAL_ERROR, PATH_DEVIATION, SURFACE_ERROR, Gauge, gauge_of
 from kr270_milling.path.trajectory import Trajectory
 from kr270_milling.physics.compensation.methods import LEARNED, methods
 from kr270_milling.physics.motion.dynamics import ArmModel
@@ -39,9 +39,7 @@ HELPS, INDIFFERENT, UNTRUSTED = "helps", "does not matter", "cannot be trusted h
 LEVELS = (0.05, 0.5, 0.95)
 SAMPLES = 32
 FEWEST = 8
-LEARNING = 8  #: time of the learning of a plant, as a multiple of that of its other passes
 SAME = 0.1  #: changes of the largest deviation by less than this share are none
-FAILING = 0.05  #: share of robots that may fail or become worse on the compensated trajectory
 SURE = 0.9  #: confidence with which more than this share do: 2 of 10, 3 of 20, 4 of 32 robots, and never 1 of 3 or more
 TRACKED = f"{LEARNED.name}, with a tracker"  #: passes of the plant itself are measured and learned from
 CHOOSING_SEED = 1_000_003  #: of the robots that compare programs, which neither a verdict nor ``robust`` draws
@@ -242,7 +240,8 @@ def monte_carlo(
     comparing = samples if straight else FEWEST  # plants that also run the other methods
 
     def work(number: int) -> int:
-        return number + LEARNING * min(number, learning)
+        # time of the learning of a plant, as a multiple of that of its other passes
+        return number + 8 * min(number, learning)
 
     def count(done: int) -> None:
         if progress:
@@ -296,8 +295,9 @@ def judge_plants(
     matter. 90 % of the robots change by less than 10 %: does not matter. Surely more than 5 % become worse: cannot be
     trusted. Half of them gain less than 10 %: does not matter. Else it helps. See ``surely_more``.
     """
+    failing = 0.05  # share of robots that may fail or become worse on the compensated trajectory
     lost = np.isnan(compensated) & np.isfinite(original)
-    if surely_more(int(lost.sum()), lost.size, FAILING):
+    if surely_more(int(lost.sum()), lost.size, failing):
         return UNTRUSTED, f"{lost.sum()} of {lost.size} robots fail on the compensated trajectory"
     both = np.isfinite(original) & np.isfinite(compensated)
     if not both.any():
@@ -311,7 +311,7 @@ def judge_plants(
     if low > 1.0 - SAME and high < 1.0 + SAME:
         return INDIFFERENT, share
     worse = int(np.sum(after >= before))
-    if surely_more(worse, after.size, FAILING):
+    if surely_more(worse, after.size, failing):
         return UNTRUSTED, f"{share}: {worse} of {after.size} robots become worse"
     if middle > 1.0 - SAME:
         return INDIFFERENT, share

@@ -17,11 +17,10 @@ from kr270_milling.cell.models import modal_model_of, path_of
 from kr270_milling.cell.plant import perturbed
 from kr270_milling.cell.sections import Tolerances
 from kr270_milling.decide import compensation
-from kr270_milling.decide.decision import CAUTION, NO, YES, Decision
-from kr270_milling.decide.exchange_share import exchange_share
-from kr270_milling.decide.limits import Limit, limits
-from kr270_milling.decide.tolerance import SURFACE_ERROR, Judgement, gauge_of, judge_part
-from kr270_milling.decide.tolerance import judge as tolerance_judge
+from kr270_milling.decide.check import exchange_share
+from kr270_milling.decide.decision import CAUTION, NO, YES, Decision, Limit, limits
+from kr270_milling.decide.part.assessment import SURFACE_ERROR, Judgement, gauge_of, judge_part
+from kr270_milling.decide.part.assessment import judge as tolerance_judge
 from kr270_milling.decide.verdict import (
     HELPS,
     INDIFFERENT,

@@ -15,10 +15,10 @@ from kr270_milling.cell.models import arm_of, cut_of, path_of
 from kr270_milling.decide import levers as module
 from kr270_milling.decide.compensation import compensate
 from kr270_milling.decide.levers import RATIOS, levers, softened
+from kr270_milling.decide.part.assessment import after_passes, judge
 from kr270_milling.decide.programs.files import knot_feeds, write_programs
 from kr270_milling.decide.programs.gcode import write_gcode
 from kr270_milling.decide.programs.points import fixed_knots, program_points
-from kr270_milling.decide.tolerance import after_passes, judge
 from kr270_milling.path.cam.gcode.reader import read_gcode
 from kr270_milling.physics.robot.kinematics import pose
 from kr270_milling.studies.maps.along import own_turn, turned_cell

@@ -16,8 +16,8 @@ from kr270_milling.cell.jobs import simulate
 from kr270_milling.cell.models import path_of
 from kr270_milling.decide.check import check
 from kr270_milling.decide.check_cut import engagement, rapid_violations
+from kr270_milling.decide.compensation import in_turn
 from kr270_milling.decide.part import assess
-from kr270_milling.decide.tools import in_turn
 from kr270_milling.path.cam.gcode.reader import read_gcode
 
 pytestmark = pytest.mark.usefixtures("few_robots")
@@ -143,10 +143,18 @@ def test_tools_that_do_not_fit_are_refused(tmp_path, tools, more, message):
         tool_cells(tmp_path, SLOTS, tools, *filter(None, [more]))
 
 
-def test_a_tool_that_cuts_twice_and_a_command_for_one_tool_are_refused(tmp_path, drafted):
-    twice = SLOTS.replace(END, operation("T1", *ALONG)) + END
-    with pytest.raises(ConfigError, match=r"tools\.T1: cuts again in line 20, after T2"):
-        tool_cells(tmp_path, twice, {"T1": LARGE, "T2": SMALL})
+def test_a_further_run_of_a_tool_has_the_keys_of_the_tool_and_takes_what_is_left(tmp_path):
+    deeper = operation("T1", *ALONG[:1], "G0 Z-1", "G1 X-35 Z-2 F3000", "X40", speed=7000)
+    program = SLOTS.replace(END, operation("T1", *ALONG) + deeper) + END
+    cells = tool_cells(tmp_path, program, {"T1": LARGE, "T2": SMALL, "T1_3": {**LARGE, "teeth": 3}}, RIGID)
+    assert [(cell.stage.tool, cell.stage.suffix) for cell in cells[2:]] == [("T1_2", "_N3"), ("T1_3", "_N4")]
+    assert [cell.tool.teeth for cell in cells] == [2, 2, 2, 3] and not any(cell.stage.same_tip for cell in cells[2:3])
+    assert [cell.tool.spindle_speed for cell in cells[2:]] == pytest.approx([200 * np.pi, 700 / 3 * np.pi])
+    removed = [1e9 * ran.result.removed_volume for _, ran in run_in_turn(cells)]
+    assert removed == pytest.approx([600, 360 - 60, 0, 600 - 60], rel=5e-3)  # [mm3], closed form
+
+
+def test_a_command_for_one_tool_is_refused(drafted):
     with pytest.raises(ConfigError, match=r"has 3 tools, .* --set path\.tool=T1"):
         read_cell(drafted, STOCK)
 

@@ -14,9 +14,9 @@ import pytest
 
 from kr270_milling.base.errors import InputError
 from kr270_milling.path.cam.comments import described_tool, operation_name
-from kr270_milling.path.cam.drilling import CLEARANCE, Cycle
 from kr270_milling.path.cam.gcode.reader import read_gcode
 from kr270_milling.path.cam.machine import CHORD
+from kr270_milling.path.cam.program_builder import CLEARANCE, Cycle
 from kr270_milling.path.cam.readers import read_toolpath
 from kr270_milling.path.source_program import ProgramError
 
@@ -176,22 +176,37 @@ def test_cycles_return_by_g98_and_g99_repeat_by_l_and_end_with_a_motion_word_or_
 
 
 def test_a_retract_goes_to_the_highest_level_and_a_tool_that_comes_back_from_home_travels_above(read):
-    for home in ("G28 G91 Z0\nG90", "G91 G28 Z0.\nG90", "G53 G0 Z0", "G0 SUPA Z0", "G30 Z5", "G74 Z1=0"):
+    for home in ("G28 G91 Z0\nG90", "G91 G28 Z0.\nG90", "G53 G0 Z0", "G0 SUPA Z0", "G30 G91 Z0\nG90", "G74 Z1=0"):
         path = read(f"G0 X0 Y0 Z20\nG0 Z1\nG1 Z-1 F100\n{home}\nG0 X9 Y9\nG0 Z1\nG1 Z-1\n")
         assert millimetres(path)[2:] == [[0, 0, -1], [0, 0, 20], [9, 9, 20], [9, 9, 1], [9, 9, -1]]
     path = read("G0 X0 Y0 Z20\nG1 Z-1 F100\nG28\nG0 X9 Y9 Z1\nG1 Z-1\n")
     assert millimetres(path)[1:] == [[0, 0, -1], [0, 0, 20], [9, 9, 20], [9, 9, 1], [9, 9, -1]]
+    path = read("G0 X0 Y0 Z20\nG1 Z-1 F100\nG28 X3 Z-5\nG0 X9 Y9 Z1\nG91 G30 Z3\nG90 G0 X0 Y0\nZ1\nG1 Z-1\n")
+    between = [[3, 0, -5], [3, 0, 20], [9, 9, 20], [9, 9, 1], [9, 9, 4], [9, 9, 20], [0, 0, 20]]  # stated with G28, G30
+    assert millimetres(path)[2:-2] == between and path.rapid[2:-1].all()
     path = read("G53 G0 Z0\nG1 X5 Y5 F5000\nG0 Z2\nG1 Z-1 F100\n")
     assert millimetres(path) == [[5, 5, 2], [5, 5, -1]]
 
 
 def test_a_change_of_the_tool_lifts_it_but_keeps_its_coordinates_and_a_preselected_one_is_not_yet_in_the_spindle(read):
     text = "T1 M6\nG0 X0 Y0 Z20\nG0 Z1\nG1 X5 F100\nT2 M6\nG1 X7\nG0 Z20\nT1 M6\nG0 X1 Z1\nG1 X2\n"
-    path = read(text, tool="T1")
-    assert millimetres(path) == [[0, 0, 20], [0, 0, 1], [5, 0, 1], [5, 0, 20], [1, 0, 20], [1, 0, 1], [2, 0, 1]]
+    assert millimetres(read(text, tool="T1")) == [[0, 0, 20], [0, 0, 1], [5, 0, 1]]
     assert read(text, tool="T2").length == pytest.approx(2e-3 + 19e-3)
+    assert millimetres(read(text, tool="T1_2")) == [[1, 0, 1], [2, 0, 1]]
     program = read("T1 M6\nT2\n" + HIGH + "G1 Z-1 F100\nM30\n").program
     assert [tool.name for tool in program.tools] == ["T1"]
+
+
+def test_a_tool_runs_again_after_another_one_or_at_another_speed_after_a_rapid_move(read):
+    sub = "T1 M6\nS1000 M3\nM98 P7\nT2 M6\nS1000 M3\nM98 P7\nS2000\nM98 P7\nM30\n"
+    sub += "O7\nG0 X0 Y0 Z1\nG1 Z-1 F100\nG0 Z1\nM99\n"
+    program = read(sub, tool="T1").program
+    assert [(tool.name, tool.cuts) for tool in program.tools] == [("T1", 1), ("T2", 1), ("T2_2", 1)]
+    speeds = [read(sub, tool=name).program.spindle_speeds[0] * 30 / math.pi for name in ("T1", "T2_2")]
+    assert speeds == pytest.approx([1000, 2000])
+    cutting = "T1 M6\nS1000 M3\nG0 X0 Y0 Z1\nG1 Z-1 F100\nS2000\nX5\nG0 Z5\nX9\nG1 Z-1\n"
+    with pytest.raises(InputError, match=r"2 spindle speeds: S1000 \(line 4\), S2000 \(line 6\)"):
+        read(cutting, tool="T1")
 
 
 def test_clockwise_is_seen_against_the_axis_across_the_plane_and_a_helix_of_sinumerik_turns_further_circles(read):
@@ -280,11 +295,12 @@ def test_an_operation_is_named_and_no_comment_of_a_post_on_itself_or_on_a_part_o
     assert operation_name(comment) == (name, announced)
 
 
-# --- One pocket as seven posts write it ---
+# --- One pocket as twelve posts write it ---
 PROGRAMS = Path(__file__).parent / "programs"
 ALL = ("fusion_haas.nc", "fusion_grbl.nc", "freecad_linuxcnc.ngc", "mastercam_fanuc.nc", "linuxcnc.ngc",
        "sinumerik.mpf", "haas.nc",
-       "fusion_heidenhain.h", "mastercam_heidenhain.h", "hsmworks_heidenhain.h")  # fmt: skip
+       "fusion_heidenhain.h", "mastercam_heidenhain.h", "hsmworks_heidenhain.h", "sprutcam_heidenhain.h",
+       "hypermill_heidenhain.h")  # fmt: skip
 #: [mm], lengths of the pocket: down from 15, four circles of radius 4, of which three descend by 1; two rings; up again
 CIRCLES, RINGS = 3 * math.hypot(8 * math.pi, 1) + 8 * math.pi, 142 + 4 * math.pi
 LENGTH = 13 + CIRCLES + RINGS + math.pi / 2 + 15
@@ -344,6 +360,37 @@ def test_a_program_with_several_tools_is_refused_with_their_list_and_a_tool_that
     assert program.title == "POCKET PLATE" and [r.word for r in program.refused] == ["T2"]
     with pytest.raises(ProgramError, match="does not cut with T5; it does with T1 .*, T2"):
         read_gcode(PROGRAMS / "haas.nc", tool="T5")
+
+
+B = "G21 G90\nG0 X0 Y0 Z5\n"
+#: odd but legal programs -> ends of their cutting moves [mm], words that are read over
+ODD = {
+    "\ufeff\r\n%\r\nO1234 (A/B)\r\nN10 G21G90G17\r\nG0X0Y0Z5.\r\nG1Z-1.F200\r\nX.5\r\nX-0.\r\nX5.\r\nM30\r\n%\r\n": (
+        [(0, 0, -1), (0.5, 0, -1), (0, 0, -1), (5, 0, -1)], 0),
+    "%\n<PART_1>(c)\nG00G90G54X0Y0\nG00Z+5.0\n/1G01Z-01.F0100\nN9/ X+.5Y00001.\nM99\n%": (
+        [(0, 0, -1), (0.5, 1, -1)], {"/": 2, "M99 of the program, which is run once": 1}),
+    "\tg21 g90 g90\n\tg0 g00\tx0 y0 z5 ; go) (there\n()\ng1 z-1 f100 (;)\nm5m9 m30 (end)(x)": ([(0, 0, -1)], {"M9": 1}),
+    "T2 M6\nT2 M6\nS9M3\nG0X0Y0Z5\nG1Z-1F100\nM6 T2\nM3\nX0Y0Z5\nG1Z-1\nM30": ([(0, 0, -1), (0, 0, 5), (0, 0, -1)], 0),
+    f"{B}G4 P500\nG04 X1.5\nG4 U.5\nG1Z-1F100\nG4\nG4 F1\nX1\nM2": ([(0, 0, -1), (1, 0, -1)], {"G4": 5}),
+    f"T1M6\n{B}G1Z-1F100\nG91G28Z0T2\nG28 X0 Y0\nG90\nG30\nG49 G53 Z0\nG30 P2 X0\nM30": ([(0, 0, -1)], {
+        "G28 Z": 1, "G28 X Y": 1, "G30 X Y Z": 1, "G49": 1, "G53 Z": 1, "G30 X": 1}),
+    f"G05.1Q1\nG05P10000\nG08P1\n{B}M00(a)\nG1Z-1F100\nM47": ([(0, 0, -1)], {
+        "G5.1": 1, "G5": 1, "G8": 1, "M0": 1, "M47 of the program, which is run once": 1}),
+    f"N0010\n{B}G0001Z-001.F00100\nN1.5 X1\nN99999999 X2A0.B0C0\nM0030": ([(0, 0, -1), (1, 0, -1), (2, 0, -1)], {
+        "A0": 1, "B0": 1, "C0": 1}),
+    f"G153\n{B}G1 F200 Z=-1\nX=10 Y=2*5\nX=IC(1) Y=AC(3)\nG75 FP=1 X1=0 Z1=0\nMSG()\nM17": (
+        [(0, 0, -1), (10, 10, -1), (11, 3, -1)], {"FP": 1, "G28 X Z": 1, "MSG": 1, "G153": 1}),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("program", ODD)
+def test_an_odd_but_legal_program_is_run_and_each_of_its_words_counts(tmp_path, program):
+    ends, words = ODD[program]
+    (tmp_path / "odd.nc").write_bytes(program.encode())
+    path = read_toolpath(tmp_path / "odd.nc")
+    start = int(not path.rapid[0])
+    np.testing.assert_allclose(1e3 * path.position[start:][~path.rapid[start:]], ends, atol=1e-9)
+    assert dict(path.program.read_over) == (words or {})
 
 
 # --- The reader keeps pace with long programs ---

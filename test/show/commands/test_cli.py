@@ -20,16 +20,16 @@ from kr270_milling.base.parameter_file import find_file
 from kr270_milling.cli import main
 from kr270_milling.decide.check import Checked
 from kr270_milling.decide.check_cut import Residue
+from kr270_milling.decide.decision import Limit
 from kr270_milling.decide.findings import Finding, Place
-from kr270_milling.decide.limits import Limit
 from kr270_milling.decide.part import FeatureRow
+from kr270_milling.decide.part.assessment import Judgement
 from kr270_milling.decide.programs.gcode import WrittenGcode
 from kr270_milling.decide.programs.points import ProgramBlocks
 from kr270_milling.decide.stability import FeatureLimit, Stability
-from kr270_milling.decide.tolerance import Judgement
 from kr270_milling.decide.verdict import MethodComparison, Verdict
-from kr270_milling.live.nodes.start import start
-from kr270_milling.physics.compensation.limiting import Limited
+from kr270_milling.live.nodes.__main__ import start
+from kr270_milling.physics.compensation.revision import Limited
 from kr270_milling.physics.motion.scores import Scores
 from kr270_milling.physics.motion.stability import Lobe
 from kr270_milling.physics.robot.analysis import analyse, read_arm
@@ -133,7 +133,6 @@ def test_a_wrong_call_is_answered_in_one_sentence_and_with_json_by_an_object(wor
 @pytest.mark.parametrize(("module", "extra", "words"), [
     ("pyarrow", "studies", "map paper.yaml --out out"),
     ("distributed", "studies", "sweep paper.yaml --vary tool.teeth=2,4 --out out --scheduler tcp://127.0.0.1:9"),
-    ("pyarrow", "studies", "export nowhere --csv out --parquet out"),
     ("pyuff", "uff", "identify damping nowhere.uff"),
     ("rclpy", "ros", "run paper.yaml --out out"),
     ("rclpy", "ros", "replay nowhere"),
