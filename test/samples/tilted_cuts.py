@@ -48,7 +48,8 @@ def edge(tool: Tool) -> np.ndarray:
                      piece + 0 * along])  # fmt: skip
 
     straight(0.0, 0.0, 0.0, tip)
-    kappa, turn = np.linspace(0.0, math.pi / 2, 1600, endpoint=False, retstep=True)
+    pieces = max(4, int(corner * math.pi / 2 / 5e-6))
+    kappa, turn = np.linspace(0.0, math.pi / 2, pieces, endpoint=False, retstep=True)
     kappa = kappa + turn / 2
     rows.append([tip + corner * np.sin(kappa), corner * (1 - np.cos(kappa)), kappa, corner * turn + 0 * kappa])
     top = (RADIUS - tip) / math.tan(taper) if taper else corner
