@@ -158,7 +158,9 @@ def scheduled(
         still = slope * share < (1.0 - UNMOVED) * loads
         silent = (still & (loads > 1.0))[:-1].any(axis=0)
         before, aiming = (loads, share), functools.partial(_aimed, share, loads, slope, still, least, most)
-        share = _within_time(cell, path, ends, aiming, min(longest, RATIOS[-1] * programmed))
+        missed = float(loads[:, ~fixed].max(initial=0.0, where=~still[:, ~fixed])) if turn else 0.0
+        aim = AIM / max(1.0, missed)  # the linear rule misses as much again
+        share = _within_time(cell, path, ends, aiming, aim, min(longest, RATIOS[-1] * programmed))
         if np.abs(share - before[1]).max() < 0.01:
             break
     *_, best, share, seconds = min(rounds, key=lambda row: row[:3])
@@ -185,15 +187,15 @@ def _aimed(share, loads, slope, still, least, most, level: float) -> np.ndarray:
 
 
 def _within_time(
-    cell: Cell, path: Toolpath, ends: np.ndarray, aiming: Callable[[float], np.ndarray], limit: float
+    cell: Cell, path: Toolpath, ends: np.ndarray, aiming: Callable[[float], np.ndarray], aim: float, limit: float
 ) -> np.ndarray:
-    """Return the shares that aim at the least load, from ``AIM`` on, with which the path takes at most a time [ns]."""
+    """Return the shares that aim at the least load, from ``aim`` on, with which the path takes at most a time [ns]."""
 
     def late(level: float) -> bool:
         content = path.with_feeds(ends, aiming(level))
         return path_of(cell.replace(path=cell.path.loaded().replace(content=content))).target.duration_ns > limit
 
-    low, high, highest = AIM, AIM, 100.0  # with a higher load the feeds are the programmed ones at least
+    low, high, highest = aim, aim, 100.0  # with a higher load the feeds are the programmed ones at least
     while late(high) and high < highest:
         low, high = high, 1.5 * high
     for _ in range(5 if high > low else 0):
