@@ -32,7 +32,7 @@ from kr270_milling.physics.motion.milling_pass import PassResult
 RATIOS = (1.0, 1.1, 1.25, 1.5)  #: cycle times of softer ramps, of the programmed one; also feeds stay below the last
 NEEDS = "needs part.tolerance_um, and a program without times in path.file"
 QUICK = "inverse"  #: method that plans while feeds are chosen; ``robust`` takes eight times as long
-ROUNDS = 4  #: feeds that are tried; each plans the correction again
+ROUNDS = 5  #: feeds that are tried; each plans the correction again
 FAILED = 1e6  #: error of a robot that fails, as a share of the tolerance
 
 
@@ -153,7 +153,9 @@ def scheduled(
         still = slope * share < 0.1 * loads
         silent = (still & (loads > 1.0))[:-1].any(axis=0)
         before, aiming = (loads, share), functools.partial(_aimed, share, loads, slope, still, least, most)
-        share = _within_time(cell, path, ends, aiming, min(longest, RATIOS[-1] * programmed))
+        missed = float(loads[:, ~fixed].max(initial=0.0, where=~still[:, ~fixed])) if turn else 0.0
+        aim = 0.95 / max(1.0, missed)  # the linear rule misses by some percent, and as much again
+        share = _within_time(cell, path, ends, aiming, aim, min(longest, RATIOS[-1] * programmed))
         if np.abs(share - before[1]).max() < 0.01:
             break
     *_, best, share, seconds = min(rounds, key=lambda row: row[:3])
@@ -180,7 +182,7 @@ def _aimed(share, loads, slope, still, least, most, level: float) -> np.ndarray:
 
 
 def _within_time(
-    cell: Cell, path: Toolpath, ends: np.ndarray, aiming: Callable[[float], np.ndarray], limit: float
+    cell: Cell, path: Toolpath, ends: np.ndarray, aiming: Callable[[float], np.ndarray], aim: float, limit: float
 ) -> np.ndarray:
     """Return the shares that aim at the least load, from ``aim`` on, with which the path takes at most a time [ns]."""
 
@@ -188,7 +190,6 @@ def _within_time(
         content = path.with_feeds(ends, aiming(level))
         return path_of(cell.replace(path=cell.path.loaded().replace(content=content))).target.duration_ns > limit
 
-    aim = 0.95  # load at which the feeds aim: the linear rule misses by some percent
     low, high, highest = aim, aim, 100.0  # with a higher load the feeds are the programmed ones at least
     while late(high) and high < highest:
         low, high = high, 1.5 * high

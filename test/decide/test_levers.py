@@ -230,7 +230,7 @@ def test_feeds_meet_a_linear_load_and_stay_where_the_load_does_not_respond(tmp_p
     cut = ~path.rapid[path.block_at(middle)]
     programmed = np.where(cut, path.feed[path.block_at(middle)], 1.0)
     monkeypatch.setattr(module, "_loads", loads)
-    monkeypatch.setattr(module, "_within_time", lambda cell, path, ends, aiming, limit: aiming(0.95))
+    monkeypatch.setattr(module, "_within_time", lambda cell, path, ends, aiming, aim, limit: aiming(aim))
     wanted = np.clip((0.95 - constant) / slope, 0.25, 1.3)
     module.scheduled(cell, "none", "SPLINE")
     inside = cut & np.append(group[1:] == group[:-1], True)
