@@ -173,6 +173,6 @@ def _filter(b, a, at_rest, rows):
         for n in range(rows.shape[0]):
             value = rows[n, i]
             answer = b[0] * value + first
-            answer = answer if abs(answer) > 1e-20 else 0.0  # a processor takes 20 times as long for denormal numbers
+            answer = answer if abs(answer) > 1e-290 else 0.0  # a processor takes 20 times as long for denormal numbers
             first, second = second + b[1] * value - a[1] * answer, b[2] * value - a[2] * answer
             rows[n, i] = answer
