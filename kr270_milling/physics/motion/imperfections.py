@@ -133,18 +133,21 @@ def _fill_between(grid, rows, times, shift, rate):
     """Fill rows (n, 3) at a grid [ns], and their rates by central differences [1/s], between them at times in order."""
     rates, last, k = np.empty(rows.shape), len(grid) - 1, 0
     for n in range(len(grid)):
-        first, second = max(n - 1, 0), min(n, last - 1)  # segments before and after; the same one at an end
-        h, g = (grid[first + 1] - grid[first]) * 1e-9, (grid[second + 1] - grid[second]) * 1e-9
+        before, after = max(n - 1, 0), min(n + 1, last)
+        h, g = grid[n] * 1e-9 - grid[before] * 1e-9, grid[after] * 1e-9 - grid[n] * 1e-9
         for i in range(3):
-            before, after = (rows[first + 1, i] - rows[first, i]) / h, (rows[second + 1, i] - rows[second, i]) / g
-            rates[n, i] = (g * before + h * after) / (h + g)
+            if before == n or after == n:
+                rates[n, i] = (rows[after, i] - rows[before, i]) / (h + g)
+            else:
+                middle = -g / (h * (h + g)) * rows[before, i] + (g - h) / (h * g) * rows[n, i]
+                rates[n, i] = middle + h / (g * (h + g)) * rows[after, i]
     for n in range(len(times)):
         while k < last - 1 and grid[k + 1] <= times[n]:
             k += 1
-        u = (times[n] - grid[k]) / (grid[k + 1] - grid[k])
+        step, gone = grid[k + 1] - grid[k], times[n] - grid[k]
         for i in range(3):
-            shift[n, i] = rows[k, i] + u * (rows[k + 1, i] - rows[k, i])
-            rate[n, i] = rates[k, i] + u * (rates[k + 1, i] - rates[k, i])
+            shift[n, i] = (rows[k + 1, i] - rows[k, i]) / step * gone + rows[k, i]
+            rate[n, i] = (rates[k + 1, i] - rates[k, i]) / step * gone + rates[k, i]
 
 
 def second_order(rows: np.ndarray, frequency: float, damping: float, step: float) -> np.ndarray:
@@ -170,6 +173,6 @@ def _filter(b, a, at_rest, rows):
         for n in range(rows.shape[0]):
             value = rows[n, i]
             answer = b[0] * value + first
-            answer = answer if abs(answer) > 1e-20 else 0.0  # a processor takes 20 times as long for denormal numbers
-            first, second = b[1] * value - a[1] * answer + second, b[2] * value - a[2] * answer
+            answer = answer if abs(answer) > 1e-290 else 0.0  # a processor takes 20 times as long for denormal numbers
+            first, second = second + b[1] * value - a[1] * answer, b[2] * value - a[2] * answer
             rows[n, i] = answer
