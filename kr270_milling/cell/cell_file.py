@@ -183,7 +183,7 @@ def _tool_of(run: str) -> str:
 
 
 def _tree_of_tool(tree: dict, name: str, file) -> dict:
-    """The tree of a cell for a run of a tool; without a group of its own a further run has the group of the tool."""
+    """The tree of a cell for a run of a tool; a further run without a group has that of the tool."""
     entry = tree["tools"].get(name) or tree["tools"][_tool_of(name)]
     if isinstance(entry.get("stock"), dict) and {"min_mm", "max_mm"} & set(entry["stock"]):
         raise ConfigError(file, f"tools.{name}.stock", None, "must not have min_mm, max_mm: the tools share one stock")
