@@ -17,7 +17,6 @@ the model's values with log-normal priors, so the model stays where the passes s
 The mean over a sample replaces the expectation [Kleywegt2002]. Both passes run along the reference of ``inverse``, so
 d_k contains backlash and the answer of the cut; H_k is the response of the robot: arm, base, servo lag and delay. The
 cut also answers the correction, which H_k leaves out: the robots run again along the new reference, and c is added to.
-The robots are a sample: of each c that share is added which gains most for robots that it is not planned for.
 """
 
 from __future__ import annotations
@@ -399,6 +398,9 @@ class Learner:
         # a robot with more than this multiple of the median of the largest deviations counts in inverse proportion to
         # its square: it may swing by itself, which no response contains, and the swing would shape the correction
         outlying = 2.5
+        # weight of the roughness of the change for many robots: a rougher change, which each robot answers otherwise,
+        # gains less than 1 % of the mean square and needs twice the correction (pocket of the tutorial)
+        careful = 1.0
         # most passes of the simulated robots; the cut answers the correction, so the first one is not the last
         rounds = 4 if self.target.duration_ns < LONG else 2
         worth = 0.98  # of the mean square of their largest deviations: a pass that gains less is the last
@@ -422,32 +424,11 @@ class Learner:
             self.ensemble, self._ran = drawn, cubic
             if number + 1 == rounds:
                 break
-            change = self._change(drawn, shares, weight, settled)
-            tried = offset + self._transferred(drawn, shares, weight, settled) * knots(segments, change)
+            change = least_mean_square(self.arm, segments, self.conditions, drawn, shares, weight, careful, settled)
+            tried = offset + knots(segments, change)
             if np.array_equal(tried, offset):
                 break
         return offset
-
-    def _change(self, robots, shares: np.ndarray, weight: np.ndarray, settled: float) -> np.ndarray:
-        """Cubics (m, 4, 3) of the change with the least mean square of robots: response and deviation."""
-        # weight of the roughness of the change for many robots: a rougher change, which each robot answers otherwise,
-        # gains less than 1 % of the mean square and needs twice the correction (pocket of the tutorial)
-        careful = 1.0
-        return least_mean_square(self.arm, self.segments, self.conditions, robots, shares, weight, careful, settled)
-
-    def _transferred(self, robots, shares: np.ndarray, weight: np.ndarray, settled: float) -> float:
-        """Share of the change that gains most for robots that it is not planned for: cross-validation [Stone1974].
-
-        t = -sum_k s_k d_k^T W h_k / sum_k s_k h_k^T W h_k   h_k = H_k c, c planned for the half without robot k
-        """
-        gain = size = 0.0
-        for half in (0, 1) if len(robots) > 1 else ():
-            cubic = self._change(robots[half::2], shares[half::2], weight, settled)
-            for (arm, deviation), share in zip(robots[1 - half :: 2], shares[1 - half :: 2], strict=True):
-                moved = arm.follow(self.segments, cubic)
-                gain -= share * float(np.einsum("kpi,kpij,kpj->", deviation, weight, moved))
-                size += share * float(np.einsum("kpi,kpij,kpj->", moved, weight, moved))
-        return min(1.0, max(0.0, gain / size)) if size > 0.0 else 1.0
 
     def _with(self, reference: Trajectory) -> np.ndarray:
         """Deviation [m], (m, parts, 3), of a tool that runs along ``reference`` without the feedback of the cut."""

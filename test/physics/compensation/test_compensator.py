@@ -20,7 +20,7 @@ from kr270_milling.cli import main
 from kr270_milling.decide.verdict import monte_carlo
 from kr270_milling.path.trajectory import Trajectory
 from kr270_milling.physics.compensation.compensator import Compensator, noise_floor, remaining_error
-from kr270_milling.physics.compensation.learning import CellModels, Learner
+from kr270_milling.physics.compensation.learning import CellModels
 from kr270_milling.physics.compensation.method import Correction
 from kr270_milling.physics.compensation.revision import PassRecord, sampled_correction
 from kr270_milling.physics.compensation.settings import CompensationSettings
@@ -271,17 +271,6 @@ def test_robust_equals_inverse_without_uncertainty_and_is_better_in_the_mean_of_
     robust, judged = revised(lagging, "robust"), moving.replace(uncertainty=lagging)
     errors = np.array([monte_carlo(judged, run, 6, 1).compensated for run in (inverse, robust)])
     assert np.mean(errors[1] ** 2) < 0.5 * np.mean(errors[0] ** 2)
-
-
-@pytest.mark.parametrize("other, share", [(1.0, 1.0), (-1.0, 0.0)], ids=["alike", "opposite"])
-def test_a_change_is_added_as_far_as_it_helps_robots_that_it_is_not_planned_for(cell, other, share):
-    target, arm = path_of(cell).target, jobs.arm_response(cell, path_of(cell).target)
-    learner = Learner.of_model(target, jobs.models_of(cell), "least_squares", True)
-    segments = learner.segments
-    deviation = 50 * UM * np.sin(5e-9 * segments.middle_ns)[..., None] * [0.0, 1.0, 0.5]
-    learner.scored = np.ones((len(segments), segments.parts), bool)
-    robots = [(arm, deviation), (arm, other * deviation)] * 2  # the halves are every second robot
-    assert learner._transferred(robots, np.ones(4), learner._weight(), 0.0) == pytest.approx(share, abs=0.02)
 
 
 def test_lines_between_the_knots_a_missing_wrench_and_noise_of_the_pose_leave_little(cell, learned):
