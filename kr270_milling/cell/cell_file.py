@@ -60,6 +60,8 @@ def read_cells(path, assignments=()) -> tuple[Cell, ...]:
     for run in runs:
         if run.name not in by_tool:
             by_tool[run.name] = _cell_of_tool(run.name, _tree_of_tool(tree, run.name, path), assigned, path)
+    if chosen and chosen not in [run.name for run in runs]:
+        raise ConfigError(path, "path.tool", chosen, f"one of {', '.join(run.name for run in runs)}")
     cells = [by_tool[run.name] for run in runs]
     cut = [removal_of(cell) for cell in cells]
     tips = [cell.mount.xyz.tolist() for cell in cells]

@@ -44,7 +44,8 @@ def exchange_share(path: CellPath, ran: ScoredPass, tolerances: Tolerances) -> t
     """Return the largest correction of a predicted pose as a share of the length of the chip, its line, and findings.
 
     By the correction the chip geometry of one period was wrong. A share above its limit is a stop, unless the
-    correction is NEGLIGIBLE.
+    correction is below 5 % of the tolerance.
+
     The sweep of the teeth compares each correction with the feed per tooth. The mean force compares the root mean
     square over WINDOW with the feed of a period, or with that of a tooth where this is longer: material that one period
     missed is removed in the next, so that a single step of the force, as at an entry, changes one period alone.

@@ -200,7 +200,7 @@ def _within_time(
 
 
 def _stretches(path: Toolpath) -> np.ndarray:
-    """Ends of the stretches [m]: pieces of ``STRETCH`` of a cut, which ends at a corner or with its feed or feature."""
+    """Ends of the stretches [m]: pieces of 0.25 s of a cut, which ends at a corner or with its feed or feature."""
     usual = 0.25  # [s] of a stretch at the programmed feed: ramps of 2 m/s2 and 20 m/s3 to 4 m/min take 0.12 s
     k = np.arange(1, len(path))
     start, end = path.tangent(k, np.zeros(k.size)), path.tangent(k, path.plane_length[k])

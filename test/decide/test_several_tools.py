@@ -8,7 +8,7 @@ import pytest
 from hostile import answered, ask, settings
 from samples.milled_part import RIGID
 
-from kr270_milling.base.errors import ConfigError
+from kr270_milling.base.errors import ConfigError, InputError
 from kr270_milling.base.parameter_file import find_file
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.cell_file import read_cell, read_cells
@@ -154,7 +154,13 @@ def test_a_further_run_of_a_tool_has_the_keys_of_the_tool_and_takes_what_is_left
     assert removed == pytest.approx([600, 360 - 60, 0, 600 - 60], rel=5e-3)  # [mm3], closed form
 
 
-def test_a_command_for_one_tool_is_refused(drafted):
+def test_a_run_that_the_program_does_not_make_and_a_command_for_one_tool_are_refused(tmp_path, drafted):
+    with pytest.raises(ConfigError, match=r"path\.tool: 'T1_2' .*one of T1, T2"):
+        tool_cells(tmp_path, SLOTS, {"T1": LARGE, "T2": SMALL}, "path.tool=T1_2")
+    twice = SLOTS.replace("T2", 'T="T1_2"').replace(END, operation("T1", *ALONG)) + END
+    (tmp_path / "twice.nc").write_text(twice)
+    with pytest.raises(InputError, match=r"T1_2 is the name of a tool and of a further run"):
+        read_gcode(tmp_path / "twice.nc", "T1_2")
     with pytest.raises(ConfigError, match=r"has 3 tools, .* --set path\.tool=T1"):
         read_cell(drafted, STOCK)
 

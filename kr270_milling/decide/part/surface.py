@@ -429,7 +429,7 @@ def _floors(stock: Stock, ideal: IdealPart, height: np.ndarray, largest: float, 
 def _curved(stock: Stock, ideal: IdealPart, height: np.ndarray) -> Floors:
     """The error along the normal of the rigid arm's surface: the difference of heights times the cosine of the slope.
 
-    Steeper places than ``STEEP`` are left out: the nodes of the map do not resolve them.
+    Places steeper than 70 deg are left out: the nodes of the map do not resolve them.
     """
     steep = 2.75  # assumed, tangent of 70 deg: on a steeper surface a node of the map is three of its steps high
     spacing = stock.grid_step * ideal.thinning

@@ -162,6 +162,8 @@ class ProgramBuilder(PathBuilder):
         else:
             self.run = runs[-1]
             self._runs.pop(self.run)
+        if self._runs.get(self.run, (self.tool, 0))[0] != self.tool:
+            self.refuse(self.run, f"{self.run} is the name of a tool and of a further run", "rename the tool")
         self._runs[self.run] = self.tool, self.line
         self._key = (self.run, *self.frame.values())
         self.active = self.selected in ("", self.run)

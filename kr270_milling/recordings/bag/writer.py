@@ -209,7 +209,7 @@ class BagWriter:
             channel.gaps.add(stamp)
 
     def tick(self, now: float) -> None:
-        """Close the chunk after CHUNK_PERIOD; now [s]: any clock that does not go back."""
+        """Close the chunk after 0.2 s; now [s]: any clock that does not go back."""
         chunk_period = 0.2  # [s]; a SIGKILL loses the messages of this time
         self._last_chunk = min(now, now if self._last_chunk is None else self._last_chunk)
         if now - self._last_chunk >= chunk_period:

@@ -2,7 +2,7 @@
 
 O words and M98/M99 of LinuxCNC, M97 of Haas, IF, GOTO, WHILE and G65 of Fanuc, L sub-programs of Sinumerik. A program
 without them is run line by line, without this module. A sub-program that is called by its name or number, and is not in
-the program, is that of a file with this name in one of ``FOLDERS``.
+the program, is that of a file with this name in the folder of the program, in its subroutines or in its subs.
 """
 
 from __future__ import annotations
