@@ -208,22 +208,42 @@ def test_a_rational_curve_with_these_weights_is_a_quarter_circle(tmp_path, curve
         read_gcode(program(tmp_path, f"X10\n{curve.rpartition(chr(10))[0].format(w=1)}\nG1 X-5"))
 
 
-def test_a_row_of_straight_cuts_gives_the_path_of_its_blocks(tmp_path, monkeypatch):
+def test_a_row_of_cuts_and_arcs_gives_the_path_of_its_blocks(tmp_path, monkeypatch):
     rng = random.Random(1)
-    for trial in range(budget(200)):
-        blocks = ["G1 X1 F600", "X2", "N7 Y3.5", "Z-1", "X1Y2 Z3", "G01 X.5 F600.0", "X0 F300", "G0 Z5", "(wall)", "F1",
-                  "G91", "G90", "X9E1", "X200000", "G81 Z-1 R1", "N5", "", "G1", "g1x5"]  # fmt: skip
-        (tmp_path / "part.nc").write_text("\n".join(["G21", "G0 X0 Y0 Z0", *rng.choices(blocks, k=20), "M30", ""]))
+    cuts = ["G1 X1 F600", "X2", "N7 Y3.5", "Z-1", "X1Y2 Z3", "G01 X.5 F600.0", "X0 F300", "G0 Z5", "(wall)", "F1",
+            "G91", "G90", "X9E1", "X200000", "G81 Z-1 R1", "N5", "", "G1", "g1x5"]  # fmt: skip
+    arcs = ["G2 X1 Y2 R40", "G3 X2 Z1 I1 J-2 F600", "X1", "G2 X2 R.1", "G2 I0", "G2 X8 R9E9", "I1 R1", "G2 I99999",
+            "G3 K2", "I-.0005", "G2 X1 Y1 Z0 I.5 J.5 K0"]  # fmt: skip
+    circles = {"G17": "G3 I5 J2", "G18": "G2 K-1 Z{} I2", "G19": "N5 G3 J2 X1 K2", "G90.1": "G2 I1 J9"}
+    for trial in range(budget(400)):
+        plane = rng.choice(("G17", "G18", "G19", "G90.1", "G20"))
+        sound = [
+            "G2 X{} Y{} Z{} R40",
+            "G3 X{} Y{} Z{} R-50",
+            "G02X{}Y{}Z{}R70F600",
+            "G1 X{} Y{} Z{}",
+            circles.get(plane, "G2 I1"),
+        ]
+        blocks = rng.choices(cuts, k=20) if trial % 3 == 0 else rng.choices(sound, k=30)
+        blocks += rng.choices(arcs, k=trial % 2)
+        blocks = [re.sub("{}", lambda _: f"{rng.uniform(-9, 9):.3f}", block) for block in blocks]
+        (tmp_path / "part.nc").write_text("\n".join(["G21", plane, "G0 X0 Y0 Z0", "F600", *blocks, "M30", ""]))
         results = []
         for watched in (False, True):
             monkeypatch.setattr(Interpreter, "watched", watched)
             try:
-                path = read_gcode(tmp_path / "part.nc")
-                results.append(repr([getattr(path, name).tolist() for name in ("position", "feed", "line", "feature")]))
-                results[-1] += repr(path.program)
+                results.append(read_gcode(tmp_path / "part.nc"))
             except InputError as error:
                 results.append(str(error))
-        assert results[0] == results[1], trial
+        path, other = results
+        if isinstance(path, str) or isinstance(other, str):
+            assert path == other, trial
+            continue
+        for name in ("feed", "line", "feature"):
+            assert np.array_equal(getattr(path, name), getattr(other, name)), trial
+        np.testing.assert_allclose(path.position, other.position, rtol=0, atol=1e-12)
+        np.testing.assert_allclose(path.curvature, other.curvature, rtol=1e-12)
+        assert path.program == other.program, trial
 
 
 @pytest.mark.parametrize("seed", range(60))
