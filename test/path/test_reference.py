@@ -40,6 +40,7 @@ ENDS = {
     "G41.1 D4\nG3 X10 Y10 J10\nG1 Y20\nG40\nG1 X-9": [(8, 10), (8, 20), (-9, 20)],
     "G41.1 D-4\nX10\nG3 X15 Y5 J5\nG40\nG1 X30": [(10, -2), (17, 5), (30, 5)],
     "G41.1 D4\nX10\nG3 X15 Y5 J5\nG1 X5\nG40\nX-9": [(10, 2), (math.sqrt(5) + 10, 3), (5, 3), (-9, 5)],
+    "#1=41.1\nG#1 D4\nX10\nG40\nG1 X20": [(10, 2), (20, 0)],
     "G41.1 D4\nX10\nG0 Z5\nG40\nG0 Z5\nG1 X20": [(10, 2, 0), (20, 0, 5)],  # beside the contour at its height
     # around a cusp of two arcs, and into it: the tool of radius 0.5 touches circles of 4.5 and 2.5, 3 apart
     "G41.1 D1\nX10\nG3 X15 Y5 J5\nG2 X13 Y3 I-2\nG1 X9\nG40\nX0": [
@@ -113,7 +114,6 @@ REFUSED = {
     "G41.1 D4\nX9\nG42.1 D4\nX20": "without G40",
     "G41.1 D4\nX9\nG40\nZ5": "after the compensation is along z",
     "F1E11\nX9": "between 0 and 1e.10",
-    "#1=41\nG#1 D1\nX5": "a number that is not computed",
     "G41.1 D4\nX9\nG5.1 X9 Y9 I2 J2": "straight moves and arcs",
     **dict.fromkeys(("@1 X2", "G18 @3 ^2", "G16 G91 X3"), "a radius and an angle"),
     "@5": "alone at the origin",
@@ -267,6 +267,7 @@ def test_sub_programs_of_other_files_run_as_those_of_the_program(tmp_path, seed)
 
 
 FANUC = "%\nO0007 (POCKET)\nG91 G1 X1 F600\nG90\nM99\n%\n"
+BESIDE = "O7\nG41.1 D4\nG1 Y5 F600\nY20\nM99\n"
 START = "G21 G90\nT1 M6\nG0 X0 Y0 Z0\n"
 
 
@@ -275,7 +276,8 @@ START = "G21 G90\nT1 M6\nG0 X0 Y0 Z0\n"
     ("G65 P7", "O7.CNC", FANUC, 1), ("L7 P2", "L007.SPF", "G91 G1 X1 F600\nG90\nM17\n", 2),
     ("L7", "L7.SPF", "%_N_L7_SPF\nPROC L7 SAVE DISPLOF\nG1 X7 F600\nRET\n", 7),
     ("o<a pocket> call [4]", "A Pocket.ngc", "o<a pocket> sub\nG1 X#1 F600\no<a pocket> endsub", 4),
-    ("#1=7\nM98 P#1 L2", "7.ngc", FANUC, 2), ("#1=7\no#1 call [4]", "7.ngc", "o7 sub\nG1 X#1 F600\no7 endsub", 4),
+    ("#1=7\nM98 P#1 L2", "7.ngc", FANUC, 2), ("#1=7\nM98 P#1", "7.ngc", BESIDE, -2),
+    ("#1=7\no#1 call [4]", "7.ngc", "o7 sub\nG1 X#1 F600\no7 endsub", 4),
     ("M98 P7", "subs/O7.nc", "G1 X5 F600\nM98 P8\nM99\n", 6),
 ])  # fmt: skip
 def test_a_call_finds_the_file_of_its_name_or_number(tmp_path, call, file, text, end):

@@ -398,7 +398,8 @@ class Machine:
         for stroke in strokes:
             if stroke is not None and stroke.side and stroke.radius:
                 self.program.silent[f"moves {1e3 * stroke.radius:g} mm beside the contour"] += 1
-        self.contour = iter(planned(strokes))
+        if any(stroke is not None and (stroke.side or stroke.corner) for stroke in strokes):
+            self.contour = iter(planned(strokes))
 
     @property
     def tip(self) -> tuple[float, ...]:
@@ -434,8 +435,8 @@ class Machine:
         result: list[Stroke] | str | None = None
         if isinstance(self.contour, list):
             self.contour.append(stroke)
-        else:
-            result = next(self.contour or iter(()), "G41 and G42 need a number that is not computed")
+        elif self.contour is not None:
+            result = next(self.contour)
         if isinstance(result, str):
             self.program.refuse(f"G{self.mode}", result, lost=True)
         elif stroke is None or result is None:

@@ -122,7 +122,7 @@ class GcodeReader:
         flow = Flow(self.machine, self.variables, self.run_line, lines) if has_flow(text) else None
         if flow and program.files:
             text = "\n".join(flow.lines).upper()
-        beside = re.search(r"G[ \t]*0*4[12](?![0-9])", text)  # the contour
+        beside = re.search(r"G[ \t]*0*4[12](?![0-9])|[GOP][ \t]*[#\[=]", text)  # the contour, perhaps
         if self.machine.contour is None and (beside or any(word in text for word in CORNERS)):
             self.machine.look_ahead(lambda machine: type(self)(machine.program, machine).read(lines))
         if flow:
