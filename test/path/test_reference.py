@@ -19,7 +19,7 @@ from kr270_milling.path.cam.gcode.reader import read_gcode
 SAME_START = "G10 L2 P1 X0 Y0 Z0\nG10 L2 P2 X0 Y0 Z0\nG21 G90 G17\nF600\nG0 X0 Y0 Z5\nG1 Z0\n"
 #: a program after its start -> ends of its cutting moves [mm], which rs274 2.9 gives, too
 ENDS = {
-    "#1=3\n#1=4 X#1\nX#1": [3, 4],  # an assignment counts after its line
+    "#1=3\n#5599=1 #1=4 X#1\nX#1": [3, 4],  # an assignment counts after its line
     "X[2**3**2] Y[-2**2]\nX[7 MOD -3]\nX[ATAN[1]/[1]]": [(64, 4), 1, 45],
     "X[1 OR 0 AND 0] Y9\nX[ROUND[-2.5]]\nX[1 EQ 1.00005]": [(0, 9), -3, 1],
     "#<a b>=7\nX#<AB>\n#<_g>=8\nX#<_g>": [7, 8],
