@@ -84,9 +84,9 @@ class Toolpath:
             shape = (len(position),) + {"position": (3,), "quaternion": (4,)}.get(name, ())
             if values.shape != shape:
                 raise ToolpathError(f"{name} has the shape {values.shape}, but must have {shape}")
-            bad = ~np.isfinite(values.reshape(len(values), -1)).all(axis=1)
-            if bad.any():
-                raise ToolpathError(f"its {name} is not finite", int(np.argmax(bad)))
+            finite = np.isfinite(values)
+            if not finite.all():
+                raise ToolpathError(f"its {name} is not finite", int(np.argwhere(~finite)[0, 0]))
             values.setflags(write=False)
             object.__setattr__(self, name, values)
         stuck = ~(self.feed > 0) & ~self.rapid
