@@ -73,12 +73,17 @@ CONVERSATIONAL = {
     "CYCL DEF 201 REAMING Q200=2 Q201=-1 Q206=60 Q203=+0\nL X+5 FMAX M99": [(5, 0, -1), (5, 0, 2)],
     "CYCL DEF 205 PECKING ~\nQ200=2 Q201=-5 Q206=60 Q202=3 Q203=0 Q212=0\nL X+5 FMAX M99": [(5, 0, -1), (5, 0, -4),
                                                                                    (5, 0, -5)],
-    "CYCL DEF 240 CENTERING Q200=2 Q343=1 Q201=-1 Q344=-5 Q206=60 Q203=0": "Q343 and Q379 of zero",
+    "CYCL DEF 240 CENTERING Q200=2 Q343=1 Q201=-1 Q344=-5 Q206=60 Q203=0": "Q343, Q379 and Q395 of zero",
+    "CYCL DEF 200 X Q200=2 Q201=-3 Q206=90 Q202=9 Q203=0 Q395=1": "Q343, Q379 and Q395 of zero",
+    "CYCL DEF 201 REAMING Q200=2 Q201=-1 Q206=60 Q203=0\nCYCL CALL POS X+5 Y+1 Z+0 FMAX": [(5, 1, -1), (5, 1, 2)],
+    "CYCL DEF 201 REAMING Q200=2 Q201=-1 Q206=60 Q203=0\nCYCL CALL POS X+5 Y+1 Z+1": "shifts the hole",
+    "L X+1\nM140 MB+3 F90\nL X+2": [(1, 0, 0), (1, 0, 3), (2, 0, 3)], "L X+1 M140 MB+3": "M140 with a move",
     "L X+5 RL": "radius of the tool",
     "L X+5\nRND R2": "RND without a next move", "C X+5 DR+": "C needs CC", "CT X+5 Y+0": "needs a move in the xy plane",
     "CALL LBL 7": "LBL 7 is not in this program", "LBL 1\nCALL LBL 1": "more than 10 labels call one another",
     "APPR LT X+5 LEN5": "lead-ins and lead-outs", "CYCL CALL": "before its CYCL DEF", "L A+5": "does not take A",
-    "TOOL CALL 1 Y": "takes a tool, Z", "X+5": "'X\\+5' is not read", "CC X+9 Y+0\nCP IPA-90 DR+": "turns against DR",
+    "TOOL CALL 1 Y": "takes a tool, Z", "TOOL CALL 1 Z DL-0.2": "of zero only",
+    "X+5": "'X\\+5' is not read", "CC X+9 Y+0\nCP IPA-90 DR+": "turns against DR",
 }  # fmt: skip
 
 
@@ -95,6 +100,24 @@ def test_a_conversational_program_leads_to_the_right_places_or_is_refused(tmp_pa
     for end, known in zip(1e3 * path.position[cutting], expected, strict=True):
         known = (known,) if isinstance(known, (int, float)) else known
         assert end[: len(known)] == pytest.approx(known, abs=1e-6)
+
+
+def test_a_program_in_inches_has_feeds_in_tenths_of_an_inch_and_states_the_blank(tmp_path):
+    # F100 in inches is 10 inches a minute (TNC7 User's Manual, "Cutting data")
+    blank = "BLK FORM 0.1 Z X-1 Y-1 Z-0.5\nBLK FORM 0.2 IX+2 Y+1 IZ+0.75\n"
+    (tmp_path / "a.h").write_text(f"BEGIN PGM A INCH\n{blank}L X+0 Y+0 Z+0 R0 FMAX M3\nL X+1 F100\nEND PGM A INCH\n")
+    path = read_toolpath(tmp_path / "a.h")
+    assert path.feed[-1] * 60 == pytest.approx(0.254) and path.program.feed_units == ("tenths of an inch a minute",)
+    assert np.array(path.program.stock) / 0.0254 == pytest.approx([-1, -1, -0.5, 1, 1, 0.25])
+
+
+@pytest.mark.parametrize(("fields", "stock"), [
+    (',"",,"BOX",112,5,-20,-80,-50,-40,50,40', [-50, -40, -20, 50, 40, 5]),
+    (',"",,"BOX",64,5,-20,-80,-50,-40,50,40', []), (',"",,"CYLINDER",64,5,-20,-80,50', []),
+])  # fmt: skip
+def test_workpiece_of_sinumerik_states_a_box_in_absolute_coordinates(tmp_path, fields, stock):
+    (tmp_path / "a.mpf").write_text(f"WORKPIECE({fields})\nG0 X0 Y0 Z0 S9 M3\nG1 X1 F600\nM30\n")
+    assert 1e3 * np.array(read_toolpath(tmp_path / "a.mpf").program.stock) == pytest.approx(stock)
 
 
 def test_the_whole_examples_are_read_under_every_name_of_their_kind(tmp_path):

@@ -300,7 +300,7 @@ class Machine:
     def set_feed(self, value: float, unit: float) -> None:
         """The number of a feed, lengths in ``unit`` [m]."""
         most = 1e10  # a number above any feed that a CAM writes for "as fast as possible"
-        length = "inches" if unit == INCH else "mm"
+        length = {MM: "mm", INCH: "inches"}.get(unit, "tenths of an inch")  # of Heidenhain
         time = {93: "moves a minute (G93)", 94: "a minute", 95: "a revolution (G95)"}[self.feed_mode]
         self.program.feed_units[time if self.feed_mode == 93 else f"{length} {time}"] = None
         if 0 <= value <= most:

@@ -48,6 +48,7 @@ class ProgramBuilder(PathBuilder):
         self.comments: list[tuple[str, str, bool]] = []  #: with the tool, and whether it is the tool of their line
         self.external: tuple[float, ...] = (0.0,) * 6  #: external axes E1 to E6 during the cuts
         self.rounding = 0.0  #: largest P of G64 [m]
+        self.stock: tuple[float, ...] = ()  #: as in ``SourceProgram``
         self.displayed: dict[str, tuple[float, ...]] = {}  #: $TOOL and $BASE of the cuts, X, Y, Z [mm], A, B, C [deg]
         self.beside: dict[str, float] = {}  #: tool -> radius in its comment [m], by which G41 and G42 move the path
         self.length_offsets: set[str] = set()  #: tools with a length that the program switches on
@@ -204,6 +205,11 @@ class ProgramBuilder(PathBuilder):
         """
         return self.named and self.moved and bool(self.tool)
 
+    def state_stock(self, corners: Sequence[float]) -> None:
+        """The blank that the program states, x, y, z of both corners [m]; one without an inside is none."""
+        if all(low < high for low, high in zip(corners[:3], corners[3:], strict=True)):
+            self.stock = tuple(corners)
+
     def name_operation(self, name: str, title: bool) -> None:
         """The operation of the moves that follow; title: the name is that of the whole program."""
         self.name_feature(name)
@@ -272,6 +278,7 @@ class ProgramBuilder(PathBuilder):
             feed_units=tuple(self.feed_units),
             external=self.external,
             rounding=self.rounding,
+            stock=self.stock,
             tool_frame=self.displayed.get("$TOOL", ()),
             base_frame=self.displayed.get("$BASE", ()),
             beside=self.beside.get(self._runs.get(chosen, (chosen, 0))[0], 0.0),

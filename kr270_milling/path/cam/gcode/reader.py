@@ -8,9 +8,12 @@ all at once. Without a unit word the unit is mm. A line with the sign of block s
 
 from __future__ import annotations
 
+import contextlib
 import re
 from collections.abc import Sequence
 from typing import Any
+
+import numpy as np
 
 from kr270_milling.base.files import read_lines, short, unended
 from kr270_milling.path.cam.comments import operation_name
@@ -367,6 +370,8 @@ class GcodeReader:
             reset = not rest and not further and name in ("TRANS", "ROT", "SCALE", "MIRROR")
             if name in SILENT or reset or name in ("TRAORI", "TRAFOOF"):
                 silent.append(name)
+                if name == "WORKPIECE":
+                    self._blank([text.strip() for text in rest.strip("() ").split(",")])
             elif name == "CYCLE800" and not further:
                 reason = self.machine.swivel([text.strip() for text in rest.strip("() ").split(",")])
                 if reason:
@@ -381,6 +386,14 @@ class GcodeReader:
             if name in ("TRAORI", "TRAFOOF"):
                 self.machine.follow_tip(name == "TRAORI")
         return known
+
+    def _blank(self, fields: list[str]) -> None:
+        """WORKPIECE of Sinumerik: a box with absolute coordinates (112) states the blank; others are no blank here."""
+        if fields[3:5] == ['"BOX"', "112"]:
+            with contextlib.suppress(ValueError):
+                top, bottom, _, *sides = map(float, fields[5:12])
+                corners = np.sort(np.reshape([*sides[:2], top, *sides[2:], bottom], (2, 3)), axis=0)
+                self.program.state_stock((self.machine.unit * corners).ravel().tolist())
 
     def _comments(self, code: str, comments: list[str]) -> None:
         title = re.fullmatch(r"\s*[O:]\s*[0-9]+\s*", code, re.I) is not None
