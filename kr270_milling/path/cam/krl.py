@@ -36,7 +36,7 @@ BLOCKS = {
 #: words of statements without effect on the path
 SILENT = frozenset({
     "INTERRUPT", "TRIGGER", "WAIT", "PULSE", "ANOUT", "ANIN", "DIGIN", "CWRITE", "HALT", "CONTINUE", "SIGNAL", "EXT",
-    "EXTFCT", "IMPORT", "ENUM", "STRUC", "USERSPOT", "USER_GRP", "IR_STOPM", "TIME_BLOCK", "CONST_VEL", "INI", "CLEAR",
+    "EXTFCT", "IMPORT", "ENUM", "STRUC", "USERSPOT", "USER_GRP", "IR_STOPM", "CONST_VEL", "INI", "CLEAR",
 })  # fmt: skip
 TYPES = ("INT", "REAL", "BOOL", "CHAR", "FRAME", "POS", "E6POS", "AXIS", "E6AXIS", "FDAT", "LDAT", "PDAT")
 #: variables of the controller without effect on the path; those of speed, tool and base have a branch
@@ -326,12 +326,20 @@ class _KrlReader(Machine):
             self.override = float(self._value(text)) / 100
         elif name in ("$TOOL", "$BASE"):
             self._set_frame(name, text)
-        elif SILENT_SYSTEM.match(name) or (name == "$IPO_MODE" and text.strip().upper() == "#BASE"):
+        elif SILENT_SYSTEM.match(name):
+            self.program.count(name)
+        elif name == "$IPO_MODE":
+            self._interpolate(self._value(text))
             self.program.count(name)
         elif name[0] == "$":
             raise KrlError(f"{name} may move the coordinates; {POST}")
         else:
             self._store(name, text)
+
+    def _interpolate(self, mode: Any) -> None:
+        """$IPO_MODE: with #TCP the robot holds the workpiece."""
+        if isinstance(mode, str) and mode.upper() == "#TCP":
+            raise KrlError(f"$IPO_MODE #TCP moves the workpiece at a fixed tool; {POST}")
 
     def _set_speed(self, value) -> None:
         if not isinstance(value, (int, float)) or not 0 < value <= REACH:
@@ -368,6 +376,7 @@ class _KrlReader(Machine):
             self._set_frame(f"${word[1:]}", f"{word[1:]}_DATA[{rest[0]}]")
         elif word in ("#FRAMES", "#CP_PARAMS", "#PTP_PARAMS"):
             data = self.values.get("FDAT_ACT")
+            self._interpolate(data.get("IPO_FRAME") if isinstance(data, dict) else None)
             for name, key in (("$TOOL", "TOOL_NO"), ("$BASE", "BASE_NO")):
                 if isinstance(data, dict) and key in data:
                     self._set_frame(name, f"{name[1:]}_DATA[{data[key]}]")
@@ -434,7 +443,10 @@ class _KrlReader(Machine):
             self._set_speed(self._value(parts(match[1])[0]))
         elif match := re.fullmatch(r"SBASE\((.*)\)", value, re.I):
             self._set_frame("$BASE", f"BASE_DATA[{self._value(match[1])}]")
-        elif re.fullmatch(r"(?:SVEL_JOINT|SIPO_MODE|SLOAD|SACC_\w+|SAPO\w*|SGEAR_JERK|SJERK|STOOL)\(.*\)", value, re.I):
+        elif match := re.fullmatch(r"SIPO_MODE\((.*)\)", value, re.I):
+            self._interpolate(self._value(match[1]))
+            self.program.count(name.upper())
+        elif re.fullmatch(r"(?:SVEL_JOINT|SLOAD|SACC_\w+|SAPO\w*|SGEAR_JERK|SJERK)\(.*\)", value, re.I):
             self.program.count(name.upper())
         else:
             self._assign(name.upper(), value)
