@@ -217,6 +217,7 @@ class _Conversational(Machine):
         """A statement that moves nothing; TOOL DEF states the radius of its tool, BLK FORM the blank."""
         if match := BLANK.match(text):
             self._blank(match[1] == "2", self._words(match[2])[0])
+            return
         match = re.match(r"TOOL DEF ?([0-9]+|\".*\").*? R ?([-+]?[0-9.]+)", text)
         if match and 0 < float(match[2]) * self.unit <= 0.1:
             name = _tool_name(match[1])

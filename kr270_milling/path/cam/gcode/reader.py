@@ -365,35 +365,35 @@ class GcodeReader:
 
     def _known(self, names: list[tuple[str, str]], further: bool) -> bool:
         """Return whether the words of several letters in a line let it be run; further: the line has other words."""
-        silent = []
+        silent, refusals = [], self.program.refusals
         for name, rest in names:
             reset = not rest and not further and name in ("TRANS", "ROT", "SCALE", "MIRROR")
+            fields = [text.strip() for text in rest.strip("() ").split(",")]
             if name in SILENT or reset or name in ("TRAORI", "TRAFOOF"):
-                silent.append(name)
-                if name == "WORKPIECE":
-                    self._blank([text.strip() for text in rest.strip("() ").split(",")])
+                silent += [name] * (name != "WORKPIECE" or not self._blank(fields))
             elif name == "CYCLE800" and not further:
-                reason = self.machine.swivel([text.strip() for text in rest.strip("() ").split(",")])
+                reason = self.machine.swivel(fields)
                 if reason:
                     self.program.refuse(name, reason, lost=True)
                 else:
                     silent.append(name)
             else:
                 self.program.refuse(name, advice=ADVICE.get(name, UNKNOWN), lost=True)
-        known = len(silent) == len(names)
+        known = self.program.refusals == refusals
         for name in silent if known else ():
             self.program.count(name)
             if name in ("TRAORI", "TRAFOOF"):
                 self.machine.follow_tip(name == "TRAORI")
         return known
 
-    def _blank(self, fields: list[str]) -> None:
-        """WORKPIECE of Sinumerik: a box with absolute coordinates (112) states the blank; others are no blank here."""
+    def _blank(self, fields: list[str]) -> bool:
+        """Return whether WORKPIECE of Sinumerik states the blank, as a box with absolute coordinates (112) does."""
         if fields[3:5] == ['"BOX"', "112"]:
             with contextlib.suppress(ValueError):
                 top, bottom, _, *sides = map(float, fields[5:12])
                 corners = np.sort(np.reshape([*sides[:2], top, *sides[2:], bottom], (2, 3)), axis=0)
                 self.program.state_stock((self.machine.unit * corners).ravel().tolist())
+        return bool(self.program.stock)
 
     def _comments(self, code: str, comments: list[str]) -> None:
         title = re.fullmatch(r"\s*[O:]\s*[0-9]+\s*", code, re.I) is not None
