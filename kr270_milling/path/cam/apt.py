@@ -306,12 +306,10 @@ class _AptReader(Machine):
     @contextlib.contextmanager
     def _plane(self, axis: Sequence[float]) -> Iterator[Callable[[Sequence[float]], list[float]]]:
         """Run what follows in a plane whose z is ``axis``; yields the map of places and directions into the plane."""
-        cycle, turn = self.cycle, rotation_from_quaternion(np.array(tool_along(axis))) @ np.diag([1.0, -1.0, -1.0])
+        turn = rotation_from_quaternion(np.array(tool_along(axis))) @ np.diag([1.0, -1.0, -1.0])
         self.set_tilt(Pose(np.zeros(3), turn))
-        self.cycle = cycle
         yield lambda place: (turn.T @ np.array(place)).tolist()
         self.set_tilt(None)
-        self.cycle = cycle
 
     def _block(self, end: list[float]) -> None:
         if self.retracted:

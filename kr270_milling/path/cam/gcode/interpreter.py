@@ -433,8 +433,6 @@ class Interpreter(Machine):
         for name, value in values.items():
             setattr(offsets, name, value)
         self.set_shift(offsets.shift)
-        if self.shift is not None and self.cycle is not None:
-            self.cycle = None
 
     def _claimed(self, groups: dict, axes: dict) -> None:
         """Refuse letters that are a move on one control and something else on another."""
@@ -530,7 +528,8 @@ class Interpreter(Machine):
             mode, self.mode = self.mode, 0
             self._move(between)
             self.mode = mode
-        text = " ".join([word, *(axes_home or (AXES if word in ("G28", "G30") else []))])
+        every = word in ("G28", "G30") and not axes_home and axes.keys().isdisjoint(FURTHER)
+        text = " ".join([word, *(AXES if every else axes_home)])
         self._read_over(text, axes, "XYZP" if word == "G30" else "XYZ")
         self.home(text.split()[1:])
 
@@ -688,6 +687,11 @@ class Interpreter(Machine):
         kind, number = axes.get("L"), axes.get("P", 0.0)
         if kind in (1, 12) and "R" in axes:
             self.radii[number] = axes["R"] * self.unit
+        if kind in (11, 13) and axes.get("R"):
+            return "G10 states the wear of a tool, by which the path moves"
+        in_use = word_of("T", number) in self.program.length_offsets
+        if kind in (1, 10, 11) and self._began and in_use and not axes.keys().isdisjoint("ZR" if kind > 1 else "Z"):
+            return f"G10 changes the length of {word_of('T', number)}, which is in use"
         if kind not in (2, 20):
             return "" if kind in (1, 10, 11, 12, 13) or not self._began else "G10 of this kind"
         offsets = self.offsets
