@@ -131,6 +131,7 @@ REFUSED = {
     "M98 P7\nO7\nX1\nM99": "runs into a sub-program",
     "M98 P7 H100\nM30\nO7\nX1\nN100 X2\nM99": "M98 with H, a sub-program from one of its lines on",
     "T1 M6\nG43 H1 X1\nG10 L10 P1 R9": "G10 changes the length of T1",
+    "M21\nX5": "without shift, rotation, mirror",
     "G10 L11 P1 R-5": "G10 states the wear of a tool",
     "(abort, no part)": "stops itself",
 }

@@ -77,6 +77,7 @@ class _Conversational(Machine):
     def __init__(self, program: ProgramBuilder, feed: float):
         super().__init__(program, feed)
         self.absolute_centre = True
+        self.called_feed = self.feed  #: of TOOL CALL, which FAUTO takes [m/s]
         self.speed = 0.0  #: [rad/s]
         self.turning = 0
         self.datum = [0.0] * 3  #: shift of the datum [m]
@@ -272,12 +273,13 @@ class _Conversational(Machine):
                 words.pop(word)
                 self.side, self.radius = side, math.nan
         rapid = words.pop("FMAX", None) is not None
-        words.pop("FAUTO", None)
+        if words.pop("FAUTO", None) is not None:
+            self.feed = self.called_feed
         if "F" in words:
             self.set_feed(words.pop("F"), self.unit)
-        if turned := [number for number in functions if number in SPINDLE]:
-            self.turning = SPINDLE[int(turned[-1])]
-            self.program.spindle_speed = self.turning * self.speed
+        for number in functions:
+            if number in (3, 4, 13, 14):
+                self._turn(SPINDLE[int(number)])
         if other := [number for number in functions if number not in {*M_WORDS, *SPINDLE, 2, 30, 91, 92, 99, 128, 140}]:
             self.program.refuse(word_of("M", other[0]), advice="leave it out where it moves no axis", lost=True)
             return
@@ -311,8 +313,14 @@ class _Conversational(Machine):
             raise _Refused(f"{kind} does not take {next(iter(words))}")
         if 99 in functions:
             self._drill_here()
+        if 5 in functions:  # at the end of its block
+            self._turn(0)
         if 2 in functions or 30 in functions:
             self.ended = True
+
+    def _turn(self, turning: int) -> None:
+        self.turning = turning
+        self.program.spindle_speed = turning * self.speed
 
     def _swing(self, words: dict[str, float], rapid: bool) -> None:
         """A block of rotary axes alone."""
@@ -444,17 +452,20 @@ class _Conversational(Machine):
         name, rest = match.groups() if match else (None, text)
         axis = re.match(r" ?([XYZ])(?![-+0-9])", rest)
         words, functions = self._words(rest[axis.end() :] if axis else rest)
-        if functions or words.keys() - {"S", "F", "DL", "DR"} or words.get("DR") or (axis and axis[1] != "Z"):
-            raise _Refused("TOOL CALL takes a tool, Z, S, F and DL")
+        if functions or words.keys() - {"S", "F", "DL", "DR"} or (axis and axis[1] != "Z"):
+            raise _Refused("TOOL CALL takes a tool, Z, S and F")
+        if words.get("DL") or words.get("DR"):
+            raise _Refused("DL and DR of TOOL CALL move the path; let the CAM output the allowance")
         if name:
             self.change_tool(_tool_name(name))
             self.program.length_offsets.add(self.program.tool)
-            self.turning = 0
+            self.turning, self.called_feed = 0, None
         if "S" in words:
             self.speed = words["S"] * 2 * math.pi / 60
         if "F" in words:
             self.set_feed(words["F"], self.unit)
-        self.program.spindle_speed = self.turning * self.speed
+            self.called_feed = self.feed
+        self._turn(self.turning)
 
     def _define(self, number: str, text: str) -> None:
         """CYCL DEF 200, 203 and 205 drill, 201 reams, 240 centres.
