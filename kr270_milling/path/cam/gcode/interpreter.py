@@ -513,8 +513,10 @@ class Interpreter(Machine):
         word, mode = word_of("G", groups["home"]), groups.get("motion")
         if word == "G53" and (self.mode if mode is None else mode) in (0, 1) and self._in_machine(axes):
             return
-        groups.pop("motion", None)
         axes_home = [axis for axis in AXES if axis in axes]
+        if word == "G53" and (self.mode if mode is None else mode) == 1 and "Z" not in axes and self.position[2] <= 0.0:
+            self.program.refuse(word, "G53 feeds to a place of the machine, which is not known", DATUM, lost=True)
+        groups.pop("motion", None)
         if mode is not None and mode > 1:
             self.program.refuse(word, f"{word} occurs with an arc in one line")
         elif mode is not None:
