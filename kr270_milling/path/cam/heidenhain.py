@@ -291,16 +291,21 @@ class _Conversational(Machine):
         elif self.kinematics.letters and re.search(r"[ABC] ?\+?Q12[012]", text):
             self.turn_to_plane()
             words = {name: value for name, value in words.items() if name not in "ABC"}
-        if 140 in functions:  # back along the tool axis
-            words.pop("MB", None)
-            self.home(["Z"])
+        if 140 in functions:  # back along the tool axis, by MB or as far as it goes
+            back = words.pop("MB", math.inf)
+            if math.isinf(back):
+                self.home(["Z"])
+            elif words or self.program.quaternion != self.along_plane:
+                raise _Refused("M140 MB in a block of its own, with the tool along z")
+            else:
+                words["IZ"], rapid = back, not re.search(r"F ?[-+0-9Q.]", text)
         if "LA" in words and 120 in functions:
             words.pop("LA")
         for number in functions:
             if number in M_WORDS:
                 self.program.silent[word_of("M", number)] += 1
         if 91 in functions or 92 in functions:
-            self.home([axis for axis in "XYZ" if words.pop(axis, None) is not None])
+            self.home([axis for axis in "XYZ" if words.pop(axis, None) is not None], not rapid)
             self._swing(words, rapid)
         elif words.keys() <= {"A", "B", "C", "IA", "IB", "IC"}:
             self._swing(words, rapid)
@@ -350,6 +355,8 @@ class _Conversational(Machine):
             self._polar_end(words, axes, start)
         self._take(words)
         mode = self.moving[kind](kind, words, axes, start)
+        if rapid and mode != 1:
+            raise _Refused(f"{kind} with FMAX is a rapid move on an arc")
         self.heading = None if mode in (2, 3) else self.heading
         self.move(axes, 0 if rapid and mode == 1 else mode)
         self.absolute = {}

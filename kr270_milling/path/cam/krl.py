@@ -209,6 +209,8 @@ class _KrlReader(Machine):
             raise KrlError("a routine with parameters; " + POST)
         elif word in ("EXIT", "RETURN"):
             raise _Leave(word)
+        elif (match := re.search(r"\bDO\s+(\$[\w.]+).*=", text, re.I)) and not SILENT_SYSTEM.match(match[1].upper()):
+            raise KrlError(f"{word} sets {match[1]} within a move")
         elif word in SILENT or (word == "GLOBAL" and "INTERRUPT" in text.upper()):
             self.program.count(word)
         elif word in ("DECL", "GLOBAL", "CONST", *TYPES) and not text[len(word) :].lstrip().startswith("="):

@@ -312,9 +312,15 @@ class Machine:
             word = f"F{value:g}"
             self.program.refuse(word, f"the feed {word} must lie between 0 and {most:g} per minute")
 
-    def home(self, axes: list[str]) -> None:
-        """The tool leaves the workpiece: up to the top height first, then X and Y are unknown."""
+    def home(self, axes: list[str], feeds: bool = False) -> None:
+        """The tool leaves the workpiece: up to the top height first, then X and Y are unknown.
+
+        feeds: the move cuts on its way to a place of the machine.
+        """
         self.ends_contour("a move home")
+        if feeds and axes and "Z" not in axes and self.position[2] <= 0.0:
+            reason = "a cut to a place of the machine, which is not known"
+            self.program.refuse(axes[0], reason, "let the CAM output coordinates of the workpiece", lost=True)
         if "Z" in axes:
             self.position[2] = TOP
             self.go(self.tip)

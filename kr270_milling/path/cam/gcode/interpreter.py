@@ -514,8 +514,7 @@ class Interpreter(Machine):
         if word == "G53" and (self.mode if mode is None else mode) in (0, 1) and self._in_machine(axes):
             return
         axes_home = [axis for axis in AXES if axis in axes]
-        if word == "G53" and (self.mode if mode is None else mode) == 1 and "Z" not in axes and self.position[2] <= 0.0:
-            self.program.refuse(word, "G53 feeds to a place of the machine, which is not known", DATUM, lost=True)
+        feeds = word == "G53" and (self.mode if mode is None else mode) == 1
         groups.pop("motion", None)
         if mode is not None and mode > 1:
             self.program.refuse(word, f"{word} occurs with an arc in one line")
@@ -533,7 +532,7 @@ class Interpreter(Machine):
         every = word in ("G28", "G30") and not axes_home and axes.keys().isdisjoint(FURTHER)
         text = " ".join([word, *(AXES if every else axes_home)])
         self._read_over(text, axes, "XYZP" if word == "G30" else "XYZ")
-        self.home(text.split()[1:])
+        self.home(text.split()[1:], feeds)
 
     def _in_machine(self, axes: dict) -> bool:
         """Make places of the machine (G53) places of the program, where G10 stated that of the work offset."""
