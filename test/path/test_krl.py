@@ -145,6 +145,8 @@ REFUSED = [
     ("TIME_BLOCK START", "is not known"),
     ("$WORLD={X 1}", "$WORLD may move"),
     ("$VEL.CP=0", "$VEL.CP must lie between"),
+    ("TRIGGER WHEN DISTANCE=0 DELAY=0 DO $VEL.CP=3", "TRIGGER sets $VEL.CP within a move"),
+    ("BAS(#INITMOV,0)\nLIN {X 9}", "a cutting move without a feed"),
     ("GOTO AGAIN", "GOTO is not supported"),
     ("GRIP(1)", "the routine GRIP is not in the folder"),
     ("BAS(#COLD,1)", "BAS(#COLD) is not known"),

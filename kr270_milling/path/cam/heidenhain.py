@@ -78,6 +78,7 @@ class _Conversational(Machine):
     def __init__(self, program: ProgramBuilder, feed: float):
         super().__init__(program, feed)
         self.absolute_centre = True
+        self.called_feed = self.feed  #: of TOOL CALL, which FAUTO takes [m/s]
         self.speed = 0.0  #: [rad/s]
         self.turning = 0
         self.datum = [0.0] * 3  #: shift of the datum [m]
@@ -294,12 +295,13 @@ class _Conversational(Machine):
                 words.pop(word)
                 self.side, self.radius = side, math.nan
         rapid = words.pop("FMAX", None) is not None
-        words.pop("FAUTO", None)
+        if words.pop("FAUTO", None) is not None:
+            self.feed = self.called_feed
         if "F" in words:
             self._feed(words.pop("F"))
-        if turned := [number for number in functions if number in SPINDLE]:
-            self.turning = SPINDLE[int(turned[-1])]
-            self.program.spindle_speed = self.turning * self.speed
+        for number in functions:
+            if number in (3, 4, 13, 14):
+                self._turn(SPINDLE[int(number)])
         if other := [number for number in functions if number not in {*M_WORDS, *SPINDLE, 2, 30, 91, 92, 99, 128, 140}]:
             self.program.refuse(word_of("M", other[0]), advice="leave it out where it moves no axis", lost=True)
             return
@@ -311,21 +313,21 @@ class _Conversational(Machine):
         elif self.kinematics.letters and re.search(r"[ABC] ?\+?Q12[012]", text):
             self.turn_to_plane()
             words = {name: value for name, value in words.items() if name not in "ABC"}
-        if 140 in functions:  # back along the tool axis
-            length = words.pop("MB", math.inf)
-            if not words.keys().isdisjoint(("X", "Y", "Z", "IX", "IY", "IZ")):
-                raise _Refused("M140 with a move in the same block")
-            if math.isfinite(length) and not self.kinematics.letters:
-                words["IZ"] = length
-            else:
+        if 140 in functions:  # back along the tool axis, by MB or as far as it goes
+            back = words.pop("MB", math.inf)
+            if math.isinf(back):
                 self.home(["Z"])
+            elif words or self.program.quaternion != self.along_plane:
+                raise _Refused("M140 MB in a block of its own, with the tool along z")
+            else:
+                words["IZ"], rapid = back, not re.search(r"F ?[-+0-9Q.]", text)
         if "LA" in words and 120 in functions:
             words.pop("LA")
         for number in functions:
             if number in M_WORDS:
                 self.program.silent[word_of("M", number)] += 1
         if 91 in functions or 92 in functions:
-            self.home([axis for axis in "XYZ" if words.pop(axis, None) is not None])
+            self.home([axis for axis in "XYZ" if words.pop(axis, None) is not None], not rapid)
             self._swing(words, rapid)
         elif words.keys() <= {"A", "B", "C", "IA", "IB", "IC"}:
             self._swing(words, rapid)
@@ -338,8 +340,14 @@ class _Conversational(Machine):
             raise _Refused(f"{kind} does not take {next(iter(words))}")
         if 99 in functions:
             self._drill_here()
+        if 5 in functions:  # at the end of its block
+            self._turn(0)
         if 2 in functions or 30 in functions:
             self.ended = True
+
+    def _turn(self, turning: int) -> None:
+        self.turning = turning
+        self.program.spindle_speed = turning * self.speed
 
     def _swing(self, words: dict[str, float], rapid: bool) -> None:
         """A block of rotary axes alone."""
@@ -369,6 +377,8 @@ class _Conversational(Machine):
             self._polar_end(words, axes, start)
         self._take(words)
         mode = self.moving[kind](kind, words, axes, start)
+        if rapid and mode != 1:
+            raise _Refused(f"{kind} with FMAX is a rapid move on an arc")
         self.heading = None if mode in (2, 3) else self.heading
         self.move(axes, 0 if rapid and mode == 1 else mode)
         self.absolute = {}
@@ -476,18 +486,19 @@ class _Conversational(Machine):
         axis = re.match(r" ?([XYZ])(?![-+0-9])", rest)
         words, functions = self._words(rest[axis.end() :] if axis else rest)
         if functions or words.keys() - {"S", "F", "DL", "DR"} or (axis and axis[1] != "Z"):
-            raise _Refused("TOOL CALL takes a tool, Z, S, F, DL and DR")
+            raise _Refused("TOOL CALL takes a tool, Z, S and F")
         if words.get("DL") or words.get("DR"):
-            raise _Refused("DL and DR of zero only: an allowance moves the path; let the CAM offset it")
+            raise _Refused("DL and DR of TOOL CALL move the path; let the CAM output the allowance")
         if name:
             self.change_tool(_tool_name(name))
             self.program.length_offsets.add(self.program.tool)
-            self.turning = 0
+            self.turning, self.called_feed = 0, None
         if "S" in words:
             self.speed = words["S"] * 2 * math.pi / 60
         if "F" in words:
             self._feed(words["F"])
-        self.program.spindle_speed = self.turning * self.speed
+            self.called_feed = self.feed
+        self._turn(self.turning)
 
     def _define(self, number: str, text: str) -> None:
         """CYCL DEF 200, 203 and 205 drill, 201 reams, 240 centres.

@@ -99,6 +99,7 @@ class _KrlReader(Machine):
     def __init__(self, program: ProgramBuilder, feed: float, path: Path):
         super().__init__(program, feed)
         self.path = path
+        self.stated_feed = self.feed  #: that of the cell
         self.values: dict[str, Any] = {}
         self.whole: set[str] = set()  #: names of INT variables
         self.routines: dict[str, list[_Statement]] = {}
@@ -208,6 +209,8 @@ class _KrlReader(Machine):
             raise KrlError("a routine with parameters; " + POST)
         elif word in ("EXIT", "RETURN"):
             raise _Leave(word)
+        elif (match := re.search(r"\bDO\s+(\$[\w.]+).*=", text, re.I)) and not SILENT_SYSTEM.match(match[1].upper()):
+            raise KrlError(f"{word} sets {match[1]} within a move")
         elif word in SILENT or (word == "GLOBAL" and "INTERRUPT" in text.upper()):
             self.program.count(word)
         elif word in ("DECL", "GLOBAL", "CONST", *TYPES) and not text[len(word) :].lstrip().startswith("="):
@@ -380,7 +383,10 @@ class _KrlReader(Machine):
             for name, key in (("$TOOL", "TOOL_NO"), ("$BASE", "BASE_NO")):
                 if isinstance(data, dict) and key in data:
                     self._set_frame(name, f"{name[1:]}_DATA[{data[key]}]")
-        elif re.match(r"#(?:INITMOV|ACC_|VEL_PTP|PTP_DAT|CP_DAT|OUT_|EX_)", word):
+        elif word == "#INITMOV":  # the speed is that of the controller again
+            self.program.count(f"BAS({word})")
+            self.feed = self.stated_feed
+        elif re.match(r"#(?:ACC_|VEL_PTP|PTP_DAT|CP_DAT|OUT_|EX_)", word):
             self.program.count(f"BAS({word})")
         elif word != "#VEL_CP":
             raise KrlError(f"BAS({short(word)}) is not known; {POST}")

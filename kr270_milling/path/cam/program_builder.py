@@ -60,6 +60,7 @@ class ProgramBuilder(PathBuilder):
         self.words = {"used": 0, "counted": 0, "refused": 0}  #: the numbers of words: all that were read
         self.refusals = 0  #: with those that follow from earlier ones
         self._runs: dict[str, tuple[str, int]] = {}  #: run -> tool, line of its begin
+        self._before: tuple = (math.nan,)  #: end of the last move of a run that is not wanted
         self._cuts: Counter[str] = Counter()  #: run -> cutting blocks
         self._speeds: dict[str, float] = {}  #: run -> first spindle speed of its cuts [rad/s]
         self._frames: dict[tuple[str, ...], int] = {}  #: (run, its frame) while cutting -> first line
@@ -71,10 +72,14 @@ class ProgramBuilder(PathBuilder):
     def rapid(self, end: tuple) -> None:
         """Go to a point; nothing is recorded until X, Y and Z are known."""
         if self.tool and self.spindle_speed and _differ(self.spindle_speed, self._speeds.get(self.run)):
+            before, (*_, height) = self.active, self._before
             self._begin_run()
+            if self.active > before and not self.away and math.isfinite(height):  # the tool stays where it is
+                self.move(self._before, 0.0, True, self.line)
         self.moved = True
         self._before_change = len(self.comments)
         if not self.active or any(map(math.isnan, end)):
+            self._before, self.away = end, self.away and self.active
             self.unknown = [axis for axis, value in zip("XYZ", end, strict=True) if math.isnan(value)]
             return
         if self.last is not None and (self.away or self.last[2] == TOP):
@@ -102,7 +107,7 @@ class ProgramBuilder(PathBuilder):
             self._speeds.setdefault(self.run, self.spindle_speed)
         self._frames.setdefault(self._key, self.line)
         if not self.active:
-            self.quaternion = turned[-1] if turned else self.quaternion
+            self.quaternion, self._before = turned[-1] if turned else self.quaternion, ends[-1]
             return
         if self.away or (self.last != start and not (self.last and math.dist(self.last, start) < ROUNDING)):
             self.rapid(start)
@@ -159,7 +164,6 @@ class ProgramBuilder(PathBuilder):
             self.run = self.tool
         elif self._cuts[runs[-1]]:
             self.run = f"{self.tool}_{len(runs) + 1}"
-            self.away = True
         else:
             self.run = runs[-1]
             self._runs.pop(self.run)

@@ -92,7 +92,7 @@ def gcode_path(
     interpreter = Interpreter(program, feed, changes_by_m6(lines), offsets)
     interpreter.kinematics = machine
     GcodeReader(program, interpreter).read(lines)
-    return program.finish(interpreter.unit)
+    return program.finish(interpreter.first_unit or interpreter.unit)
 
 
 def changes_by_m6(lines: list[str]) -> bool:
