@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -28,7 +29,7 @@ class PlacedArm:
     tool: Tool
     near: tuple[float, ...]  #: joint positions [rad] at the start of the path or near them; they choose the branch
 
-    @property
+    @cached_property
     def place(self) -> Pose:
         """workpiece -> base_link."""
         return self.workpiece.pose

@@ -60,7 +60,7 @@ class Toolpath:
     program: SourceProgram = NO_PROGRAM  #: statements of the source in addition to its moves
 
     def __post_init__(self):
-        position = np.array(self.position, float)
+        position = np.asarray(self.position, float)
         if position.ndim != 2 or position.shape[1] != 3 or len(position) < 2:
             raise ToolpathError("it needs a start and at least one move")
         for name in ("drilling", "place"):
@@ -295,6 +295,28 @@ class PathBuilder:
                 extend(numbers)
         self.last = last
 
+    def append_row(self, ends: np.ndarray, lines: np.ndarray, feed: float, curvature: np.ndarray) -> None:
+        """Append feed blocks to points [m], (n, 3), as ``moves``; lines, curvature: of each, (n,)."""
+        if len(self) + len(ends) > MOST_BLOCKS:
+            raise InputError(self.source, f"the path has more than {MOST_BLOCKS} blocks", self.line)
+        blocks = np.empty((len(ends), 15))
+        rest = (
+            *self._last_quaternion,
+            feed,
+            0.0,
+            self.spindle_speed,
+            0.0,
+            0.0,
+            self.feature,
+            self.drilling,
+            self.place,
+        )
+        blocks[:, :3], blocks[:, 3:] = ends, rest
+        blocks[:, COLUMNS["curvature"]], blocks[:, COLUMNS["line"]] = curvature, lines
+        moves = np.append((ends[:1] != self.last).any(axis=1), (ends[1:] != ends[:-1]).any(axis=1))
+        self._blocks.frombytes((blocks if moves.all() else blocks[moves]).view(np.uint8).data)
+        self.last = tuple(ends[-1].tolist())
+
     def columns(self) -> dict[str, np.ndarray]:
         """Return the blocks so far, by the names of the fields of a Toolpath."""
         blocks = np.frombuffer(self._blocks).reshape(-1, 15)
@@ -368,7 +390,7 @@ def _taken_away(blocks: np.ndarray, away: np.ndarray) -> np.ndarray:
 
 def cut_features(columns: dict[str, np.ndarray]) -> list[int]:
     """Return the numbers of the named features with cutting moves, in the order of the program."""
-    numbers = np.unique(columns["feature"][columns["rapid"] == 0]).astype(int).tolist()
+    numbers = np.flatnonzero(np.bincount(columns["feature"][columns["rapid"] == 0].astype(int))).tolist()
     return [k for k in numbers if k][:200]  # with more names, the comments do not name features
 
 

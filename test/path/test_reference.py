@@ -19,7 +19,7 @@ from kr270_milling.path.cam.gcode.reader import read_gcode
 SAME_START = "G10 L2 P1 X0 Y0 Z0\nG10 L2 P2 X0 Y0 Z0\nG21 G90 G17\nF600\nG0 X0 Y0 Z5\nG1 Z0\n"
 #: a program after its start -> ends of its cutting moves [mm], which rs274 2.9 gives, too
 ENDS = {
-    "#1=3\n#1=4 X#1\nX#1": [3, 4],  # an assignment counts after its line
+    "#1=3\n#5599=1 #1=4 X#1\nX#1": [3, 4],  # an assignment counts after its line
     "X[2**3**2] Y[-2**2]\nX[7 MOD -3]\nX[ATAN[1]/[1]]": [(64, 4), 1, 45],
     "X[1 OR 0 AND 0] Y9\nX[ROUND[-2.5]]\nX[1 EQ 1.00005]": [(0, 9), -3, 1],
     "#<a b>=7\nX#<AB>\n#<_g>=8\nX#<_g>": [7, 8],
@@ -40,6 +40,7 @@ ENDS = {
     "G41.1 D4\nG3 X10 Y10 J10\nG1 Y20\nG40\nG1 X-9": [(8, 10), (8, 20), (-9, 20)],
     "G41.1 D-4\nX10\nG3 X15 Y5 J5\nG40\nG1 X30": [(10, -2), (17, 5), (30, 5)],
     "G41.1 D4\nX10\nG3 X15 Y5 J5\nG1 X5\nG40\nX-9": [(10, 2), (math.sqrt(5) + 10, 3), (5, 3), (-9, 5)],
+    "#1=41.1\nG#1 D4\nX10\nG40\nG1 X20": [(10, 2), (20, 0)],
     "G41.1 D4\nX10\nG0 Z5\nG40\nG0 Z5\nG1 X20": [(10, 2, 0), (20, 0, 5)],  # beside the contour at its height
     # around a cusp of two arcs, and into it: the tool of radius 0.5 touches circles of 4.5 and 2.5, 3 apart
     "G41.1 D1\nX10\nG3 X15 Y5 J5\nG2 X13 Y3 I-2\nG1 X9\nG40\nX0": [
@@ -120,7 +121,6 @@ REFUSED = {
     "G41.1 D4\nX9\nG42.1 D4\nX20": "without G40",
     "G41.1 D4\nX9\nG40\nZ5": "after the compensation is along z",
     "F1E11\nX9": "between 0 and 1e.10",
-    "#1=41\nG#1 D1\nX5": "a number that is not computed",
     "G41.1 D4\nX9\nG5.1 X9 Y9 I2 J2": "straight moves and arcs",
     **dict.fromkeys(("@1 X2", "G18 @3 ^2", "G16 G91 X3"), "a radius and an angle"),
     "@5": "alone at the origin",
@@ -218,22 +218,42 @@ def test_a_rational_curve_with_these_weights_is_a_quarter_circle(tmp_path, curve
         read_gcode(program(tmp_path, f"X10\n{curve.rpartition(chr(10))[0].format(w=1)}\nG1 X-5"))
 
 
-def test_a_row_of_straight_cuts_gives_the_path_of_its_blocks(tmp_path, monkeypatch):
+def test_a_row_of_cuts_and_arcs_gives_the_path_of_its_blocks(tmp_path, monkeypatch):
     rng = random.Random(1)
-    for trial in range(budget(200)):
-        blocks = ["G1 X1 F600", "X2", "N7 Y3.5", "Z-1", "X1Y2 Z3", "G01 X.5 F600.0", "X0 F300", "G0 Z5", "(wall)", "F1",
-                  "G91", "G90", "X9E1", "X200000", "G81 Z-1 R1", "N5", "", "G1", "g1x5"]  # fmt: skip
-        (tmp_path / "part.nc").write_text("\n".join(["G21", "G0 X0 Y0 Z0", *rng.choices(blocks, k=20), "M30", ""]))
+    cuts = ["G1 X1 F600", "X2", "N7 Y3.5", "Z-1", "X1Y2 Z3", "G01 X.5 F600.0", "X0 F300", "G0 Z5", "(wall)", "F1",
+            "G91", "G90", "X9E1", "X200000", "G81 Z-1 R1", "N5", "", "G1", "g1x5"]  # fmt: skip
+    arcs = ["G2 X1 Y2 R40", "G3 X2 Z1 I1 J-2 F600", "X1", "G2 X2 R.1", "G2 I0", "G2 X8 R9E9", "I1 R1", "G2 I99999",
+            "G3 K2", "I-.0005", "G2 X1 Y1 Z0 I.5 J.5 K0"]  # fmt: skip
+    circles = {"G17": "G3 I5 J2", "G18": "G2 K-1 Z{} I2", "G19": "N5 G3 J2 X1 K2", "G90.1": "G2 I1 J9"}
+    for trial in range(budget(400)):
+        plane = rng.choice(("G17", "G18", "G19", "G90.1", "G20"))
+        sound = [
+            "G2 X{} Y{} Z{} R40",
+            "G3 X{} Y{} Z{} R-50",
+            "G02X{}Y{}Z{}R70F600",
+            "G1 X{} Y{} Z{}",
+            circles.get(plane, "G2 I1"),
+        ]
+        blocks = rng.choices(cuts, k=20) if trial % 3 == 0 else rng.choices(sound, k=30)
+        blocks += rng.choices(arcs, k=trial % 2)
+        blocks = [re.sub("{}", lambda _: f"{rng.uniform(-9, 9):.3f}", block) for block in blocks]
+        (tmp_path / "part.nc").write_text("\n".join(["G21", plane, "G0 X0 Y0 Z0", "F600", *blocks, "M30", ""]))
         results = []
         for watched in (False, True):
             monkeypatch.setattr(Interpreter, "watched", watched)
             try:
-                path = read_gcode(tmp_path / "part.nc")
-                results.append(repr([getattr(path, name).tolist() for name in ("position", "feed", "line", "feature")]))
-                results[-1] += repr(path.program)
+                results.append(read_gcode(tmp_path / "part.nc"))
             except InputError as error:
                 results.append(str(error))
-        assert results[0] == results[1], trial
+        path, other = results
+        if isinstance(path, str) or isinstance(other, str):
+            assert path == other, trial
+            continue
+        for name in ("feed", "line", "feature"):
+            assert np.array_equal(getattr(path, name), getattr(other, name)), trial
+        np.testing.assert_allclose(path.position, other.position, rtol=0, atol=1e-12)
+        np.testing.assert_allclose(path.curvature, other.curvature, rtol=1e-12)
+        assert path.program == other.program, trial
 
 
 @pytest.mark.parametrize("seed", range(60))
@@ -257,6 +277,7 @@ def test_sub_programs_of_other_files_run_as_those_of_the_program(tmp_path, seed)
 
 
 FANUC = "%\nO0007 (POCKET)\nG91 G1 X1 F600\nG90\nM99\n%\n"
+BESIDE = "O7\nG41.1 D4\nG1 Y5 F600\nY20\nM99\n"
 START = "G21 G90\nT1 M6\nG0 X0 Y0 Z0\n"
 
 
@@ -265,7 +286,8 @@ START = "G21 G90\nT1 M6\nG0 X0 Y0 Z0\n"
     ("G65 P7", "O7.CNC", FANUC, 1), ("L7 P2", "L007.SPF", "G91 G1 X1 F600\nG90\nM17\n", 2),
     ("L7", "L7.SPF", "%_N_L7_SPF\nPROC L7 SAVE DISPLOF\nG1 X7 F600\nRET\n", 7),
     ("o<a pocket> call [4]", "A Pocket.ngc", "o<a pocket> sub\nG1 X#1 F600\no<a pocket> endsub", 4),
-    ("#1=7\nM98 P#1 L2", "7.ngc", FANUC, 2), ("#1=7\no#1 call [4]", "7.ngc", "o7 sub\nG1 X#1 F600\no7 endsub", 4),
+    ("#1=7\nM98 P#1 L2", "7.ngc", FANUC, 2), ("#1=7\nM98 P#1", "7.ngc", BESIDE, -2),
+    ("#1=7\no#1 call [4]", "7.ngc", "o7 sub\nG1 X#1 F600\no7 endsub", 4),
     ("M98 P7", "subs/O7.nc", "G1 X5 F600\nM98 P8\nM99\n", 6),
 ])  # fmt: skip
 def test_a_call_finds_the_file_of_its_name_or_number(tmp_path, call, file, text, end):

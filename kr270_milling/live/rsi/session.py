@@ -7,6 +7,7 @@ counter [ms]). The answer carries RKorr and repeats the IPOC. Source: KUKA.Robot
 from __future__ import annotations
 
 import contextlib
+import copy
 import gc
 import os
 import select
@@ -16,7 +17,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -26,7 +27,15 @@ from kr270_milling.base.samples import PoseSample, Text, TwistSample
 from kr270_milling.base.units import SECOND
 from kr270_milling.cell.arm import PlacedArm
 from kr270_milling.live.rsi.corrector import CorrectionTable, Corrector
-from kr270_milling.live.rsi.telegram import MOST_BYTES, Elements, RobotTelegram, read_telegram, write_answer
+from kr270_milling.live.rsi.telegram import (
+    AXES,
+    JOINTS,
+    MOST_BYTES,
+    Elements,
+    RobotTelegram,
+    read_telegram,
+    write_answer,
+)
 from kr270_milling.path.trajectory import TOOL_DOWN, Trajectory
 from kr270_milling.physics.robot import jacobian, pose
 from kr270_milling.recordings.bag.writer import BagWriter
@@ -115,6 +124,20 @@ class RsiSession:
         self._last: int | None = None  # IPOC
         self._elapsed = 0  # [ms], from the first telegram to the last one
         self._reason = ""
+
+    def rehearse(self) -> None:
+        """Answer a telegram from this host, so that the first answer to the robot takes no longer than the others."""
+        poses = dict.fromkeys((self.elements.actual, self.elements.commanded), AXES)
+        values = {axes: " ".join(f'{axis}="0"' for axis in axes) for axes in (AXES, JOINTS)}
+        names = (poses | {self.elements.joints: JOINTS}).items()
+        text = "".join(f"<{name} {values[axes]}/>" for name, axes in names if name)
+        stop = threading.Event()
+        with open_socket("127.0.0.1", 0) as own:
+            own.sendto(f"<Rob>{text}<IPOC>0</IPOC></Rob>".encode(), own.getsockname())
+            corrector = copy.deepcopy(self.corrector)
+            replace(
+                self, connection=own, corrector=corrector, report=lambda _: stop.set(), record=None, stop=stop
+            ).run()  # up to its first report, "robot is connected"
 
     def run(self) -> None:
         """Answer telegrams until the end."""

@@ -126,3 +126,34 @@ def arc_points(
     if not all(min(row) >= -REACH and max(row) <= REACH for row in zip(*points, strict=True)):
         raise ArcError(FAR)
     return points, math.copysign(2 / (first + last), sweep), length
+
+
+def row_points(start, end, centre, clockwise, closing, tolerance: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the ends (m, 3) of the chords [m] of a row of blocks, their numbers and curvatures [1/m], both (n,).
+
+    Each block is an arc as in ``arc_points`` or, where its centre is NaN, a straight line: start, end (n, 3); centre
+    (n, 2); clockwise (n,); closing: function of the radii. The row ends before an arc that ``arc_points`` may refuse.
+    """
+    arc = np.isfinite(centre[:, 0])
+    centre = np.where(arc[:, None], centre, 0.0)
+    (x, y), (to_x, to_y) = (start[:, :2] - centre).T, (end[:, :2] - centre).T
+    first, last = np.hypot(x, y), np.hypot(to_x, to_y)
+    closes = (np.abs(first - last) <= closing(first)) & (np.minimum(first, last) > 0)
+    far = np.abs(centre).max(axis=1) + np.maximum(first, last)
+    fits = np.where(arc, closes & (far <= REACH), True) & (np.abs([start, end]).max(axis=(0, 2)) <= REACH)
+    n = len(fits) if fits.all() else int(np.argmin(fits))
+    angle, full = np.arctan2(y, x), np.hypot(to_x - x, to_y - y) < 1e-9
+    sweep = np.where(full, 0.0, (np.arctan2(to_y, to_x) - angle) % (2 * math.pi))
+    sweep += 2 * math.pi * np.where(clockwise, -1.0, full)
+    radius = np.maximum(np.maximum(first, last), tolerance)
+    step = 2 * np.arccos(np.maximum(1 - tolerance / radius, math.cos(math.pi / 4)))
+    count = np.where(arc, np.maximum(1, np.ceil(np.abs(sweep) / step)), 1).astype(int)[:n]
+    each, after = np.repeat(np.arange(n), count), np.cumsum(count)
+    place = (np.arange(1, len(each) + 1) - (after - count)[each]) / count[each]
+    around, distance = angle[each] + place * sweep[each], first[each] + place * (last - first)[each]
+    points = np.empty((len(each), 3))
+    points[:, 0] = centre[each, 0] + distance * np.cos(around)
+    points[:, 1] = centre[each, 1] + distance * np.sin(around)
+    points[:, 2] = start[each, 2] + place * (end - start)[each, 2]
+    points[after - 1] = end[:n]
+    return points, count, np.where(arc, np.sign(sweep) * 2 / np.maximum(first + last, 1e-300), 0.0)[:n]

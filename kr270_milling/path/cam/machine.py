@@ -6,6 +6,7 @@ Straight, on an arc of one of three planes, in a drilling cycle. A height of TOP
 from __future__ import annotations
 
 import cmath
+import contextlib
 import copy
 import math
 from collections.abc import Callable, Iterator
@@ -14,7 +15,14 @@ from typing import Any
 import numpy as np
 
 from kr270_milling.base.frames import Pose
-from kr270_milling.path.cam.arcs import ArcError, arc_points, centre_from_radius, curve_points, nurbs_points
+from kr270_milling.path.cam.arcs import (
+    ArcError,
+    arc_points,
+    centre_from_radius,
+    curve_points,
+    nurbs_points,
+    row_points,
+)
 from kr270_milling.path.cam.contour import Stroke, planned
 from kr270_milling.path.cam.program_builder import Cycle, ProgramBuilder
 from kr270_milling.path.kinematics import NO_ROTARY_AXES
@@ -396,7 +404,8 @@ class Machine:
         for stroke in strokes:
             if stroke is not None and stroke.side and stroke.radius:
                 self.program.silent[f"moves {1e3 * stroke.radius:g} mm beside the contour"] += 1
-        self.contour = iter(planned(strokes))
+        if any(stroke is not None and (stroke.side or stroke.corner) for stroke in strokes):
+            self.contour = iter(planned(strokes))
 
     @property
     def tip(self) -> tuple[float, ...]:
@@ -432,8 +441,8 @@ class Machine:
         result: list[Stroke] | str | None = None
         if isinstance(self.contour, list):
             self.contour.append(stroke)
-        else:
-            result = next(self.contour or iter(()), "G41 and G42 need a number that is not computed")
+        elif self.contour is not None:
+            result = next(self.contour)
         if isinstance(result, str):
             self.program.refuse(f"G{self.mode}", result, lost=True)
         elif stroke is None or result is None:
@@ -480,8 +489,11 @@ class Machine:
     def _closing(self, start, centre) -> float:
         """[m], by how much the ends of an arc may differ in their distance from its centre, by the rule of LinuxCNC:
         by rounding to 0.01 mm or 0.001 in in all numbers, or by 0.1 % of the radius, but at most by 100 roundings."""
+        return float(self._closing_of(math.dist(start[:2], centre)))
+
+    def _closing_of(self, radius):
         rounding = 2.0 * math.sqrt(2.0) * (10e-6 if self.unit == MM else 25.4e-6)
-        return max(rounding, min(100.0 * rounding, 1.001e-3 * math.dist(start[:2], centre)))
+        return np.clip(1.001e-3 * radius, rounding, 100.0 * rounding)
 
     def _run_stroke(self, stroke: Stroke, height: float) -> float:
         """Make a move that is planned, from a height; return that of its end."""
@@ -664,6 +676,30 @@ class Machine:
         x, y, z = map(plane.index, (0, 1, 2))
         ends = [(point[x], point[y], point[z]) for point in points]
         return ends, length, curvature if self.plane == 17 else 0.0
+
+    def centre_of(self, start, end, words, clockwise: bool) -> tuple[float, float] | None:
+        """Return the centre [m] in the plane of an arc by the texts of I, J, K, R; None where ``_centre`` decides."""
+        first, second, across = PLANES[self.plane]
+        one, other, radius = words[first], words[second], words[3]
+        stated = one is not None or other is not None
+        if self.absolute_centre or words[across] is not None or stated == (radius is not None):
+            return None
+        if stated:
+            return start[first] + float(one or 0.0) * self.unit, start[second] + float(other or 0.0) * self.unit
+        from_point, to_point = ((point[first], point[second]) for point in (start, end))
+        with contextlib.suppress(ArcError):
+            return centre_from_radius(from_point, to_point, float(radius) * self.unit, clockwise, CLOSING)
+        return None
+
+    def row_of_arcs(self, ends: list, centres: dict[int, tuple[float, float, bool]]) -> tuple[np.ndarray, ...]:
+        """Return what ``row_points`` does for blocks to the ends, arcs about those centres in the plane, clockwise."""
+        plane = list(PLANES[self.plane])
+        rows, arcs = np.array([tuple(self.position), *ends])[:, plane], np.full((len(ends), 3), np.nan)
+        arcs[list(centres)] = list(centres.values())
+        points, numbers, curvature = row_points(
+            rows[:-1], rows[1:], arcs[:, :2], arcs[:, 2] == 1, self._closing_of, CHORD
+        )
+        return points[:, np.argsort(plane)], numbers, curvature * (self.plane == 17)
 
     def _curve(self, start, end, arc: dict, axes: dict) -> tuple[list, float, float]:
         """Points along a curve of G5 or G5.1 (LinuxCNC), its length [m], and 0."""

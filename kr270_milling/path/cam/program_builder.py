@@ -17,7 +17,7 @@ from kr270_milling.base.files import short
 from kr270_milling.path.cam.comments import ABOUT_TOOL, described_tool, kind_of
 from kr270_milling.path.cam.contour import NEAR
 from kr270_milling.path.source_program import ProgramError, ProgramTool, Refusal, SourceProgram
-from kr270_milling.path.toolpath import MOST_BLOCKS, REACH, TOP, PathBuilder, Toolpath, cut_features
+from kr270_milling.path.toolpath import TOP, PathBuilder, Toolpath, cut_features
 
 ROUNDING = 1e-12  #: [m] of a place that a shift of the coordinates leads away from and back to
 
@@ -120,27 +120,22 @@ class ProgramBuilder(PathBuilder):
         """Return whether the tool whose moves are wanted is at a place."""
         return self.active and not self.away and self.last == tuple(place)
 
-    def straight_cuts(self, ends: list[tuple[float, float, float]], lines: list[int], feed: float) -> int:
-        """Feed through points, each with its line, from the place of the tool, as ``cut`` does, up to one out of reach.
+    def cut_row(self, ends, lines, feed: float, blocks: int, curvature: np.ndarray | None = None) -> None:
+        """Feed through points, each with its line, from the place of the tool, as ``cut`` does for as many blocks.
 
-        Return the number of points.
+        Lists of straight blocks, or arrays with the curvatures where arcs are among them.
         """
-        near = MOST_BLOCKS - len(self)
-        for k, (x, y, z) in enumerate(ends[:near]):
-            if not (abs(x) <= REACH and abs(y) <= REACH and abs(z) <= REACH):
-                near = k
-                break
-        if not (ends := ends[:near]):
-            return 0
         self.named = False
         self._before_change = len(self.comments)
-        self._cuts[self.run] += len(ends)
+        self._cuts[self.run] += blocks
         if self.spindle_speed:
             self._speeds.setdefault(self.run, self.spindle_speed)
-        self.line = lines[len(ends) - 1]
-        self._frames.setdefault(self._key, lines[0])
-        self.moves(ends, lines, feed)
-        return len(ends)
+        self.line = int(lines[-1])
+        self._frames.setdefault(self._key, int(lines[0]))
+        if curvature is None:
+            self.moves(ends, lines, feed)
+        else:
+            self.append_row(ends, lines, feed, curvature)
 
     def change_tool(self, tool: str) -> None:
         """The tool of the moves that follow; they make a feature of its name where no comment names the operation.
@@ -257,9 +252,12 @@ class ProgramBuilder(PathBuilder):
 
     def _program(self, unit: float) -> SourceProgram:
         columns = self.columns()
-        cutting = columns["rapid"] == 0
-        lines = columns["line"][cutting].astype(int).tolist()
-        speeds = dict(zip(columns["spindle_speed"][cutting][::-1].tolist(), lines[::-1], strict=True))
+        cutting = np.flatnonzero(columns["rapid"] == 0)
+        speed, feed = columns["spindle_speed"][cutting], columns["feed"][cutting]
+        first = np.flatnonzero(np.diff(speed, prepend=np.nan))
+        speeds = dict(
+            zip(speed[first][::-1].tolist(), columns["line"][cutting[first]][::-1].astype(int).tolist(), strict=True)
+        )
         speeds = dict(sorted(speeds.items(), key=lambda item: item[1]))  # each with the first line that it holds in
         tools = self.described_tools(unit)
         cutters = [tool for tool in tools if tool.cuts]
@@ -278,7 +276,7 @@ class ProgramBuilder(PathBuilder):
             tool=chosen,
             tools=tools,
             spindle_speeds=tuple(speed for speed in speeds if speed),
-            feeds=tuple(np.unique(columns["feed"][cutting]).tolist()),
+            feeds=tuple(np.unique(feed[np.flatnonzero(np.diff(feed, prepend=np.nan))]).tolist()),
             feed_units=tuple(self.feed_units),
             external=self.external,
             rounding=self.rounding,

@@ -48,12 +48,13 @@ def run_rsi(args) -> Answer:
             print(sentence, file=sys.stderr, flush=True)
             recording.note(sentence)
 
-        report(f"waiting for the robot on {args.host}:{connection.getsockname()[1]}, UDP")
-        if args.host.startswith("127."):
-            report("no controller reaches this address: give that of this host in its network with --host")
         session = RsiSession(
             connection, corrector, args.cycle_ms, report, recording.add, args.progress == "rist", elements, arm
         )
+        session.rehearse()
+        report(f"waiting for the robot on {args.host}:{connection.getsockname()[1]}, UDP")
+        if args.host.startswith("127."):
+            report("no controller reaches this address: give that of this host in its network with --host")
         ended: list[int] = []
 
         def end(number: int, _) -> None:

@@ -398,13 +398,20 @@ def kroshu(ipoc: int, joints) -> bytes:
 
 
 @pytest.mark.parametrize(("simulator", "case"), [(fzi, 1), (kroshu, 2)])
-def test_the_telegrams_of_the_public_simulators_are_answered(tmp_path, patient, simulator, case):
-    """Their counters rise by one a cycle, and they take AK as joint positions or add it to the first posture."""
+def test_the_telegrams_of_the_public_simulators_are_answered(tmp_path, patient, monkeypatch, simulator, case):
+    """Their counters rise by one a cycle, and they take AK as joint positions or add it to the first posture.
+
+    A rehearsal answers one telegram, which is in no count of the session.
+    """
+    rehearsed = []
+    monkeypatch.setattr(rsi_session, "write_answer", lambda *answer: rehearsed.append(answer) or write_answer(*answer))
     send, receive, _ = CONTEXTS[case]
     elements = read_elements(context(tmp_path / "e.xml", send, receive))
     with open_socket("127.0.0.1", 0) as connection:
         arm = arm_of(read_cell(find_file("paper.yaml")))
         session = RsiSession(connection, corrector_of(line()), 4, lambda _: None, elements=elements, arm=arm)
+        session.rehearse()
+        assert len(rehearsed) == 1
         with ThreadPoolExecutor(1) as thread, contextlib.closing(Controller(connection.getsockname()[1])) as robot:
             done = thread.submit(session.run)
             joints = dict(zip(JOINTS, ("0", "-90.0", "90.0", "0.0", "90.0", "0.0"), strict=True))

@@ -38,7 +38,7 @@ CONTROL = re.compile(
 NUMBER = re.compile(r"N[ \t]*0*([0-9]+)(?![0-9.])", re.I)
 #: a comment; the words before a bracket are not the name of a cycle here
 REMARK = re.compile(r"\([^)]*\)|;.*")
-CHANGE = re.compile(r"(?<![A-Z])M0*6(?![0-9.])", re.I)
+CHANGE = re.compile(r"[Mm](?<![A-Za-z].)0*6(?![0-9.])")
 MISSING = "the sub-program {} is not in this file, and no file of this name that has it is beside it"
 ENDS = {"ENDSUB": "SUB", "ENDIF": "IF", "ENDWHILE": "WHILE", "ENDREPEAT": "REPEAT", "END": "WHILE"}
 #: letters of G65 -> numbers of the parameters (Fanuc, argument specification I)

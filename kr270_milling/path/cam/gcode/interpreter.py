@@ -114,10 +114,10 @@ class Interpreter(Machine):
         self.end_word = 0.0  #: number of the M word that ended the program
 
     @property
-    def cuts_straight(self) -> bool:
-        """Return whether a block with coordinates alone is a straight cut at the feed, and no more."""
+    def cuts_alone(self) -> bool:
+        """Return whether a block of coordinates is a straight cut or an arc of the mode at the feed, and no more."""
         return (
-            self.mode == 1 and self.feed_mode == 94 and not self.incremental and self.cycle is None
+            self.mode in (1, 2, 3) and self.feed_mode == 94 and not self.incremental and self.cycle is None
             and self.shift is None and not self.skew and self.program.quaternion == TOOL_DOWN
             and not self.side and not self.polar and self.contour is None
             and bool(self.feed) and not self.watched

@@ -24,7 +24,7 @@ from kr270_milling.path.cam.gcode.words import ADVICE, HEIDENHAIN, MACROS, SILEN
 from kr270_milling.path.cam.machine import CORNERS
 from kr270_milling.path.cam.program_builder import ProgramBuilder
 from kr270_milling.path.kinematics import NO_ROTARY_AXES, Kinematics
-from kr270_milling.path.toolpath import Toolpath
+from kr270_milling.path.toolpath import REACH, Toolpath
 
 #: an E directly after the digits begins an exponent if an integer follows; else, as after a blank, it is a letter of
 #: its own. One of two alternatives, so that a row of E words has one meaning.
@@ -32,12 +32,15 @@ EXPONENT = r"E[-+]?[0-9]+(?![0-9.])"
 NUMBER = rf"[-+]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:{EXPONENT}|(?!{EXPONENT}))"
 WORD = re.compile(rf"([A-Z])[ \t]*({NUMBER})")
 SIMPLE = re.compile(rf"(?:[ \t]*[A-Z][ \t]*{NUMBER})*[ \t]*")  # a line of words of one letter alone
-#: a straight cutting move and nothing else: most lines of a long program
+#: a straight cutting move, or an arc, and nothing else: most lines of a long program
 PLAIN = r"[-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)"
-STRAIGHT = re.compile(
-    r"[ \t]*(N[ \t]*[0-9]+)?[ \t]*(G0?1(?![0-9.]))?[ \t]*"
-    + r"[ \t]*".join(rf"(?:{letter}[ \t]*({PLAIN}))?" for letter in "XYZF")
-    + r"[ \t]*"
+STRAIGHT, ARC = (
+    re.compile(
+        rf"[ \t]*(N[ \t]*[0-9]+)?[ \t]*({word}(?![0-9.]))?[ \t]*"
+        + r"[ \t]*".join(rf"(?:{letter}[ \t]*({PLAIN}))?" for letter in letters)
+        + r"[ \t]*"
+    )
+    for word, letters in (("G0?1", "XYZF"), ("G0?[23]", "XYZIJKRF"))
 )
 #: a comment in brackets, nested twice at most where they pair, or after a semicolon; the brackets of a call are none
 COMMENT = re.compile(
@@ -120,7 +123,7 @@ class GcodeReader:
         flow = Flow(self.machine, self.variables, self.run_line, lines) if has_flow(text) else None
         if flow and program.files:
             text = "\n".join(flow.lines).upper()
-        beside = re.search(r"G[ \t]*0*4[12](?![0-9])", text)  # the contour
+        beside = re.search(r"G[ \t]*0*4[12](?![0-9])|[GOP][ \t]*[#\[=]", text)  # the contour, perhaps
         if self.machine.contour is None and (beside or any(word in text for word in CORNERS)):
             self.machine.look_ahead(lambda machine: type(self)(machine.program, machine).read(lines))
         if flow:
@@ -130,7 +133,7 @@ class GcodeReader:
         else:
             index = 0
             while index < len(lines) and not self.machine.ended and not program.hopeless:
-                index = self._straight_moves(lines, index)
+                index = self._plain_moves(lines, index)
                 if index == len(lines) - 1:
                     cuts, program.moved = program.cuts, False
                 program.line = index + 1
@@ -151,38 +154,66 @@ class GcodeReader:
         if not harmless and (reason := unended(lines)):
             program.refuse("", reason)
 
-    def _straight_moves(self, lines: list[str], index: int) -> int:
-        """Run the lines from ``index`` that are straight cuts at the same feed, but for the last line; return the next
-        index. The result is that of ``run_line``."""
+    def _plain_moves(self, lines: list[str], index: int) -> int:
+        """Run the lines from ``index`` that are straight cuts or arcs at the same feed, but for the last line.
+
+        Return the next index. The result is that of ``run_line``.
+        """
         machine, program = self.machine, self.program
-        if not machine.cuts_straight or not program.cuts_from(machine.position):
+        if not machine.cuts_alone or not program.cuts_from(machine.position):
             return index
-        unit, feed_word, match_line = machine.unit, machine.feed_word, STRAIGHT.fullmatch
+        unit, feed_word, match_line, mode = machine.unit, machine.feed_word, STRAIGHT.fullmatch, machine.mode
         x, y, z = machine.position
         ends: list[tuple[float, float, float]] = []
         words: list[int] = []
-        for number in range(index, len(lines) - 1):
-            match = match_line(lines[number])
-            if match is None:
+        modes: list[float | None] = []
+        centres: dict[int, tuple[float, float, bool]] = {}  # of arcs, by the number of their block
+        for number in range(index, min(len(lines) - 1, index + 4096)):  # arrays of some MB
+            match, arc = match_line(lines[number]), None
+            if match is not None:
+                _, word, to_x, to_y, to_z, feed = groups = match.groups()
+                mode = 1 if word else mode
+            elif match := ARC.fullmatch(lines[number]):
+                _, word, to_x, to_y, to_z, *arc, feed = groups = match.groups()
+                mode = int(word[-1]) if word else mode
+            else:
                 break
-            _, _, to_x, to_y, to_z, feed = groups = match.groups()
-            if feed is not None and float(feed) != feed_word:
+            if (feed is not None and float(feed) != feed_word) or (mode == 1) != (arc is None):
                 break
+            start = x, y, z
             if to_x is not None:
                 x = float(to_x) * unit
             if to_y is not None:
                 y = float(to_y) * unit
             if to_z is not None:
                 z = float(to_z) * unit
-            elif to_x is None and to_y is None:
+            elif to_x is None and to_y is None and arc is None:
                 break
+            if arc is not None:
+                centre = machine.centre_of(start, (x, y, z), arc, mode == 2)
+                if centre is None:
+                    break
+                centres[len(ends)] = (*centre, mode == 2)
             ends.append((x, y, z))
-            words.append(6 - groups.count(None))
-        numbers = list(range(index + 1, index + len(ends) + 1))
-        run = program.straight_cuts(ends, numbers, machine.feed or 0.0) if ends else 0
-        if run:
-            program.words["used"] += sum(words[:run])
-            machine.position = list(ends[run - 1])
+            words.append(len(groups) - groups.count(None))
+            modes.append(mode)
+        if len(centres) == 1 and len(ends) < 20:  # arrays take longer
+            ends = ends[: min(centres)]
+            centres = {}
+        if centres:
+            points, numbers, curvature = machine.row_of_arcs(ends, centres)
+            run = len(numbers)
+        else:
+            run = next((k for k, end in enumerate(ends) if not max(map(abs, end)) <= REACH), len(ends))
+        if not run:
+            return index
+        row = range(index + 1, index + run + 1)
+        if centres:
+            program.cut_row(points, np.repeat(row, numbers), machine.feed or 0.0, run, np.repeat(curvature, numbers))
+        else:
+            program.cut_row(ends[:run], row, machine.feed or 0.0, run)
+        program.words["used"] += sum(words[:run])
+        machine.position, machine.mode, machine.leaving = list(ends[run - 1]), modes[run - 1], None
         return index + run
 
     def run_line(self, line: str) -> None:
