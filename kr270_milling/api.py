@@ -438,9 +438,9 @@ def sweep(path, *assignments: str, vary: Mapping[str, Sequence[float | str]]) ->
     read_cell(path, *assignments)  # refuse a wrong cell before the passes
     axes = []
     for key, values in vary.items():
-        texts = [values] if isinstance(values, str) else values
-        alike = isinstance(texts, Sequence) and any(isinstance(v, str) for v in texts)
-        axes.append(Axis(key, tuple(texts if alike else _numbers(key, values))))
+        several: Sequence = values if np.ndim(values) else [values]
+        texts = any(isinstance(value, str) for value in several)
+        axes.append(Axis(key, tuple(several if texts else _numbers(key, values))))
     rows = Sweep(str(find_file(str(path)).resolve()), assignments, tuple(axes))
     with ThreadPoolExecutor(verdicts.cores()) as pool:
         return frames.DataFrame(list(pool.map(rows.row, range(len(rows)))))

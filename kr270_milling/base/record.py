@@ -110,7 +110,7 @@ class Spec:
 
     def checked(self, value):
         """Return the value (SI), arrays read-only; raise ParameterError for a value that is not allowed."""
-        types = {float: numbers.Real, int: numbers.Integral, bool: (bool, np.bool_)}
+        types: dict = {float: numbers.Real, int: numbers.Integral, bool: (bool, np.bool_)}
         try:
             if self.kind is np.ndarray:
                 value = np.array(value, float)
