@@ -76,7 +76,7 @@ class Spec:
         if self.kind is np.ndarray:
             number = f"a list of {'' if self.size is None else f'{self.size} '}finite numbers"
         bounds = (("above", self.above), ("at least", self.low), ("at most", self.high))
-        limits = " and ".join(f"{word} {bound:g}" for word, bound in bounds if math.isfinite(bound))
+        limits = " and ".join(f"{word} {bound:.10g}" for word, bound in bounds if math.isfinite(bound))
         return f"{number} {limits}".strip()
 
     def read(self, value):
