@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from kr270_milling.base.column import column, computed
+from kr270_milling.base.column import column, computed, counted
 from kr270_milling.base.errors import InputError
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import ScoredPass, simulate
@@ -124,8 +124,7 @@ class Checked:
     @property
     def counts(self) -> str:
         """Points, stops and warnings."""
-        counts = ", ".join(f"{self.count(s)} {s}{'' if self.count(s) == 1 else 's'}" for s in ("stop", "warning"))
-        return f"{self.points} points, {counts}"
+        return f"{self.points} points, " + ", ".join(counted(self.count(s), s) for s in ("stop", "warning"))
 
     def lines(self, short: bool = False) -> list[str]:
         """Return a line for each finding, then the summary; short: stops, warnings, stability and the summary."""
