@@ -10,6 +10,7 @@ from __future__ import annotations
 import importlib
 from typing import TYPE_CHECKING
 
+from kr270_milling.base.errors import MillingError
 from kr270_milling.base.version import __version__
 
 if TYPE_CHECKING:
@@ -30,8 +31,8 @@ if TYPE_CHECKING:
     from kr270_milling.path.trajectory import Trajectory
 
 __all__ = [
-    "Trajectory", "__version__", "check", "compare", "compensate", "identify", "placements", "read_cell",
-    "read_recording", "simulate", "stability", "stiffness", "sweep", "verdict",
+    "MillingError", "Trajectory", "__version__", "check", "compare", "compensate", "identify", "placements",
+    "read_cell", "read_recording", "simulate", "stability", "stiffness", "sweep", "verdict",
 ]  # fmt: skip
 
 

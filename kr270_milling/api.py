@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from kr270_milling.base.column import TextTable, as_dict, columns_of, fixed, table_of
+from kr270_milling.base.errors import ParameterError
 from kr270_milling.base.extensions import require_extra
 from kr270_milling.base.files import write_files
 from kr270_milling.base.parameter_file import find_file
@@ -288,6 +289,7 @@ def simulate(cell: Cell, reference: Trajectory | None = None) -> Pass:
     >>> simulate(read_cell("paper.yaml"))
     <Pass original: static 58.10 um, max 62.79 um>
     """
+    _refuse_other_types(cell, reference)
     return Pass.of(cell, jobs.simulate(cell, reference, "original" if reference is None else "reference"))
 
 
@@ -319,6 +321,7 @@ def compensate(cell: Cell, method: str | Method | None = None, progress: bool = 
     --------
     >>> compensate(read_cell("paper.yaml"), "spline").plot().show()
     """
+    _refuse_other_types(cell)
     with steps() if progress else nullcontext() as whole:
         result = compensation.compensate(cell, method, progress=whole or (lambda *_: nullcontext()))
     original, planned, written = (Pass.of(cell, each) for each in (result.original, result.planned, result.revised))
@@ -345,6 +348,7 @@ def check(cell: Cell, reference: Trajectory | None = None) -> checks.Checked:
     >>> check(read_cell("test_piece.yaml")).may_be_run
     True
     """
+    _refuse_other_types(cell, reference)
     return checks.check(cell, reference)
 
 
@@ -372,6 +376,7 @@ def verdict(cell: Cell, reference: Trajectory, samples: int = verdicts.SAMPLES, 
     >>> verdict(cell, compensate(cell).compensated.reference, samples=16)
     <Verdict: helps (16 plants: 12.3 um, 5 to 95 % 4.1 to 25.6)>
     """
+    _refuse_other_types(cell, reference)
     return Verdict(**vars(verdicts.monte_carlo(cell, reference, samples, seed)))
 
 
@@ -396,7 +401,8 @@ def stability(cell: Cell, speeds_rpm: Sequence[float], arm: bool = True) -> Lobe
     --------
     >>> stability(cell, range(6000, 10001, 500)).plot()
     """
-    speeds = [float(speed) * np.pi / 30.0 for speed in speeds_rpm]
+    _refuse_other_types(cell)
+    speeds = [speed * np.pi / 30.0 for speed in _numbers("speeds_rpm", speeds_rpm, above=0.0)]
     return Lobes(tuple(lobes(path_of(cell), cell.cutting, modes_of(cell, arm), speeds)))
 
 
@@ -430,7 +436,11 @@ def sweep(path, *assignments: str, vary: Mapping[str, Sequence[float | str]]) ->
     """
     frames = _pandas()
     read_cell(path, *assignments)  # refuse a wrong cell before the passes
-    axes = [Axis(key, tuple(v if isinstance(v, str) else float(v) for v in values)) for key, values in vary.items()]
+    axes = []
+    for key, values in vary.items():
+        several: Sequence = values if np.ndim(values) else [values]
+        texts = any(isinstance(value, str) for value in several)
+        axes.append(Axis(key, tuple(several if texts else _numbers(key, values))))
     rows = Sweep(str(find_file(str(path)).resolve()), assignments, tuple(axes))
     with ThreadPoolExecutor(verdicts.cores()) as pool:
         return frames.DataFrame(list(pool.map(rows.row, range(len(rows)))))
@@ -467,7 +477,9 @@ def placements(cell: Cell, *, x_mm=None, y_mm=None, z_mm=None, turn_deg=None, to
     >>> placements(cell, x_mm=range(1200, 1801, 100)).query("feasible").nsmallest(5, "error_max_um")
     """
     frames = _pandas()
-    axes = grid_axes(cell.workpiece, (x_mm, y_mm, z_mm, turn_deg, tool_turn_deg))
+    _refuse_other_types(cell)
+    given = {"x_mm": x_mm, "y_mm": y_mm, "z_mm": z_mm, "turn_deg": turn_deg, "tool_turn_deg": tool_turn_deg}
+    axes = grid_axes(cell.workpiece, [v if v is None else _numbers(name, v) for name, v in given.items()])
     places = path_places(path_of(cell), jobs.simulate(cell).result)
     grid = Placements(arm_of(cell), cell.uncertainty.left, places, axes)
     return frames.DataFrame(grid.columns(0, len(grid)))
@@ -584,6 +596,24 @@ def _values(*words, **options) -> dict:
     args = make_parser(argv).parse_args(argv)
     args.argv = argv
     return dict(run_command(args).result)
+
+
+def _refuse_other_types(cell, reference=None) -> None:
+    if not isinstance(cell, Cell):
+        raise ParameterError("cell", cell, "a Cell: read_cell(FILE)")
+    if not isinstance(reference, (Trajectory, type(None))):
+        raise ParameterError("reference", reference, "a Trajectory, such as the reference of a pass")
+
+
+def _numbers(name: str, values, above: float = -math.inf) -> list[float]:
+    """Return one number or more as floats; raises ParameterError for others."""
+    try:
+        row = np.asarray(values, float).reshape(-1).tolist()
+    except (TypeError, ValueError):
+        row = []
+    if not row or not all(above < value < math.inf for value in row):
+        raise ParameterError(name, values, f"finite numbers{' above 0' if above == 0.0 else ''}")
+    return row
 
 
 def _pandas():

@@ -97,8 +97,6 @@ def test_sweep_and_placements_are_frames_with_the_rows_of_the_commands():
     here = 1e3 * cell.workpiece.xyz[0]
     places = placements(cell, x_mm=[here, here + 9000.0], tool_turn_deg=[0.0])
     assert places.groupby("x_mm")["feasible"].any().tolist() == [True, False] and len(places) == 16
-    with pytest.raises(ParameterError, match="1 to 10000000 placements"):
-        placements(cell, x_mm=[])
 
 
 def test_the_notebooks_run_in_an_empty_folder_and_are_stored_without_outputs(tmp_path):
@@ -149,6 +147,28 @@ def test_a_dict_replaces_values_of_a_section_and_wrong_names_are_sentences():
         read_cell("paper.yaml", ["path.length_mm=20"])
     with pytest.raises(ParameterError, match="'liner'.*did you mean linear"):
         compensate(cell, "liner")
+
+
+@pytest.mark.parametrize(("call", "sentence"), [
+    (lambda cell: compensate("paper.yaml"), "cell is 'paper.yaml', but must be a Cell"),
+    (lambda cell: check(cell, np.zeros((3, 3))), r"reference is array\(.*\), but must be a Trajectory"),
+    (lambda cell: verdict(cell, SimpleNamespace()), "but must be a Trajectory"),
+    (lambda cell: simulate(cell, "reference.csv"), "reference is 'reference.csv', but must be a Trajectory"),
+    (lambda cell: stability(cell, [8000, -1]), "speeds_rpm is .*finite numbers above 0"),
+    (lambda cell: stability(cell, "4000:8000/3"), "speeds_rpm is '4000:8000/3', but must be finite"),
+    (lambda cell: placements(cell, x_mm=[np.nan]), "x_mm is .*finite numbers"),
+    (lambda cell: placements(cell, x_mm=[]), "x_mm is .*finite numbers"),
+    (lambda cell: sweep("paper.yaml", vary={"tool.teeth": []}), "tool.teeth is .*finite numbers"),
+    (lambda cell: cell.replace(tool=None), "tool is None, but must be a record Tool"),
+])  # fmt: skip
+def test_an_argument_of_another_kind_is_refused_in_a_sentence_of_one_line(call, sentence):
+    with pytest.raises(kr270_milling.MillingError, match=sentence):
+        call(read_cell("paper.yaml", *SHORT))
+
+
+def test_a_single_value_is_a_list_of_one():
+    rows = sweep("paper.yaml", *SHORT, vary={"cutting.chip_angle": "nominal", "path.depth_of_cut_mm": 0.2})
+    assert rows["error"].tolist() == [""] and rows["cutting.chip_angle"].tolist() == ["nominal"]
 
 
 @pytest.mark.parametrize(("returned", "reason"), [

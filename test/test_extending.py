@@ -7,12 +7,15 @@ import re
 import shutil
 import subprocess
 import sys
+from dataclasses import make_dataclass
 from pathlib import Path
 
 import numpy as np
 import pytest
 from hostile import POSTURE, settings
 
+from kr270_milling.base.record import parameter
+from kr270_milling.physics.cutting.force_law import ForceLaw
 from kr270_milling.physics.cutting.laws import FractionalLaw
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -225,6 +228,8 @@ def test_a_package_of_somebody_else_adds_law_method_and_reader_to_every_command(
 
 MINE = """
 from dataclasses import dataclass
+from kr270_milling.base.record import parameter
+from kr270_milling.physics.cutting.force_law import ForceLaw
 from kr270_milling.physics.cutting.laws import FractionalLaw
 class Other:
     name = "other"
@@ -261,3 +266,11 @@ def test_an_entry_point_that_cannot_be_used_is_named_in_one_sentence(tmp_path, l
 ])  # fmt: skip
 def test_a_force_law_that_cannot_be_used_has_a_fault(members, sentence):
     assert sentence in type("Mine", (FractionalLaw,), members).fault()
+
+
+def test_a_force_law_without_a_force_or_with_an_unknown_unit_has_a_fault():
+    assert "no attribute force" in type("Mine", (ForceLaw,), {"scattered": ()}).fault()
+    fields = [("slope", float, parameter(1.0, unit="n_per_mm3", text="slope"))]
+    about = {"scattered": (), "force": staticmethod(lambda h, slope: (0.0, 0.0, 0.0))}
+    law = make_dataclass("Mine", fields, bases=(ForceLaw,), namespace=about, frozen=True, eq=False)
+    assert "'n_per_mm3' is not one of m, mm" in law.fault()

@@ -67,7 +67,7 @@ class Parser(argparse.ArgumentParser):
 def bounded(low: float, high: float, kind: type = float, above: bool = False):
     """Return a parser of a number from low to high, or above low; NaN is refused. A whole number has digits only."""
     what = "whole number" if kind is int else "number"
-    bounds = f"above {low:g}, at most {high:g}" if above else f"from {low:g} to {high:g}"
+    bounds = f"above {low:.10g}, at most {high:.10g}" if above else f"from {low:.10g} to {high:.10g}"
 
     def parse(text: str):
         plain = kind is float or (text.isascii() and text.lstrip("-").isdecimal())
@@ -97,7 +97,7 @@ def numbers(count: int, most: float = math.inf):
     def parse(text: str) -> list[float]:
         values = _floats(text, ",", count)
         if not values or max(map(abs, values)) > most:
-            limit = "" if math.isinf(most) else f" of at most {most:g}"
+            limit = "" if math.isinf(most) else f" of at most {most:.10g}"
             raise argparse.ArgumentTypeError(f"{text!r} is not {count} finite numbers{limit} separated by commas")
         return values
 
@@ -110,7 +110,7 @@ def stretch(low: float, high: float):
     def parse(text: str) -> tuple[float, ...]:
         values = _floats(text, ":", 2)
         if not values or not low <= values[0] < values[1] <= high:
-            raise argparse.ArgumentTypeError(f"{text!r} is not START:STOP from {low:g} to {high:g}")
+            raise argparse.ArgumentTypeError(f"{text!r} is not START:STOP from {low:.10g} to {high:.10g}")
         return tuple(values)
 
     return parse
@@ -138,7 +138,7 @@ def grid(low: float, high: float, most: int):
         if not values or not low <= values[0] <= values[1] <= high or not count.strip().isdecimal():
             before, _, last = text.rpartition(":")
             advice = f": write {before}/{last}" if _floats(before, ":", 2) and last.isdecimal() else ""
-            raise argparse.ArgumentTypeError(f"{text!r} is not LOW:HIGH/COUNT from {low:g} to {high:g}{advice}")
+            raise argparse.ArgumentTypeError(f"{text!r} is not LOW:HIGH/COUNT from {low:.10g} to {high:.10g}{advice}")
         if not 1 <= int(count) <= most:
             raise argparse.ArgumentTypeError(f"{text!r} has a COUNT that is not from 1 to {most}")
         return values[0], values[1], int(count)

@@ -175,5 +175,10 @@ def fixed(value: float, digits: int = 2, least: float = 0.0) -> str:
     return "-" if math.isnan(value) else f"{round(value, digits) + 0.0:.{digits}f}"
 
 
+def counted(number: int, noun: str) -> str:
+    """Return a number with its noun: 1 stop, 2 stops."""
+    return f"{number} {noun}{'' if number == 1 else 's'}"
+
+
 def yes(value: bool) -> str:
     return "yes" if value else "no"

@@ -40,7 +40,7 @@ def _shown(value) -> str:
     if getattr(value, "ndim", None) == 0:  # a NumPy number
         value = value.item()
     try:
-        text = _short.repr(value)
+        text = " ".join(map(str.strip, _short.repr(value).splitlines()))
     except ValueError:  # Python does not write out whole numbers of thousands of digits
         return "a number of thousands of digits"
     return text if len(text) <= 200 else text[:197] + "..."

@@ -70,11 +70,13 @@ class Spec:
             return what if self.kind is str else f"a list, each {what}"
         if self.kind is bool:
             return "true or false"
+        if issubclass(self.kind, Record):
+            return f"a record {self.kind.__name__}, or a dict of its values"
         number = "a whole number" if self.kind is int else "a finite number"
         if self.kind is np.ndarray:
             number = f"a list of {'' if self.size is None else f'{self.size} '}finite numbers"
         bounds = (("above", self.above), ("at least", self.low), ("at most", self.high))
-        limits = " and ".join(f"{word} {bound:g}" for word, bound in bounds if math.isfinite(bound))
+        limits = " and ".join(f"{word} {bound:.10g}" for word, bound in bounds if math.isfinite(bound))
         return f"{number} {limits}".strip()
 
     def read(self, value):
@@ -108,12 +110,19 @@ class Spec:
 
     def checked(self, value):
         """Return the value (SI), arrays read-only; raise ParameterError for a value that is not allowed."""
-        if self.kind is np.ndarray:
-            value = np.array(value, float)
-            value.setflags(write=False)
-        elif self.kind is tuple:
-            value = tuple(value)
-        if not (self._allows(value) or (self.optional and math.isnan(value))):
+        types: dict = {float: numbers.Real, int: numbers.Integral, bool: (bool, np.bool_)}
+        try:
+            if self.kind is np.ndarray:
+                value = np.array(value, float)
+                value.setflags(write=False)
+            elif self.kind is tuple:
+                value = tuple(value)
+            elif not isinstance(value, types.get(self.kind, self.kind)):
+                raise TypeError
+            allowed = self._allows(value) or (self.optional and math.isnan(value))
+        except (TypeError, ValueError, OverflowError):
+            raise ParameterError(self.key, value, self.allowed) from None
+        if not allowed:
             raise ParameterError(self.key, _readable(self.to_file(value)), self.allowed)
         return value
 
@@ -207,8 +216,7 @@ class Record:
 
     def __post_init__(self):
         for spec in specs(type(self)):
-            if not issubclass(spec.kind, Record):
-                object.__setattr__(self, spec.name, spec.checked(getattr(self, spec.name)))
+            object.__setattr__(self, spec.name, spec.checked(getattr(self, spec.name)))
         self.check()
 
     def check(self) -> None:

@@ -136,9 +136,11 @@ def draft(file: str, paths: Sequence[Toolpath], robot: str) -> tuple[str, list[s
     for path in paths:
         check_moves(file, path, by_teeth=False)
     program = paths[0].program
-    stock, line = stock_of(paths)
+    stock, line = (Box(*np.reshape(program.stock, (2, 3))), 0) if program.stock else stock_of(paths)
     warnings = [warning for path in paths for warning in _unsaid(path)]
     values = STRAIGHT | _common(file, paths[0], stock) | {"path": f"      file: {_quoted(file)}"}
+    if program.stock:
+        values["stock_note"] = "[source: the program]; compare it with the blank"
     if line:
         values["stock_note"] = f"yours: ends beside the rapid move of line {line}, which goes below its top"
         warnings.append(

@@ -127,7 +127,7 @@ def _range(spec: Spec) -> str:
     if spec.choices:
         return " | ".join(spec.choices)
     bounds = (">", spec.above), (">=", spec.low if math.isinf(spec.above) else math.inf), ("<=", spec.high)
-    return ", ".join(f"{sign} {value:g}" for sign, value in bounds if math.isfinite(value))
+    return ", ".join(f"{sign} {value:.10g}" for sign, value in bounds if math.isfinite(value))
 
 
 def _default(spec: Spec):

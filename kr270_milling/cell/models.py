@@ -120,7 +120,7 @@ def modal_model_of(cell: Cell) -> ModalModel:
 
 @functools.lru_cache(maxsize=8)
 def _start_modes(arm: PlacedArm, path: CellPath) -> ModalModel:
-    return arm.modes_at(arm.joints(path.target)[:1])[0]
+    return arm.modes_at(arm.joints_at(path.target.position[:1], path.target.quaternion[:1]))[0]
 
 
 def arm_model_of(cell: Cell, reference: Trajectory, factors: ArmFactors | None = None) -> ArmModel:

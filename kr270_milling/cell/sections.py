@@ -31,10 +31,14 @@ class Workpiece(Record):
     """YAML ``workpiece``: where the part is clamped."""
 
     xyz: np.ndarray = parameter(
-        [], unit="mm", low=-1e5, high=1e5, text="origin of the workpiece frame on base_link, three numbers"
+        [],
+        unit="mm",
+        low=-1e5,
+        high=1e5,
+        text="origin of the workpiece frame on base_link, three numbers; or base_kuka: BASE_DATA",
     )
     abc: np.ndarray = parameter(
-        [], unit="deg", low=-360.0, high=360.0, text="its orientation, KUKA A, B, C, three numbers"
+        [], unit="deg", low=-360.0, high=360.0, text="orientation of the workpiece frame, KUKA A, B, C, three numbers"
     )
     at_start_joints: bool = parameter(
         False, text="place it so that start_joints_deg put the tool where the straight cut starts; xyz, abc follow"
@@ -81,8 +85,8 @@ class PathSection(Record):
     file: str = parameter(
         "", text="G-code, Heidenhain, APT/CL, KRL, CSV of points or a recording, workpiece frame; empty: a straight cut"
     )
-    topic: str = parameter("", text="of a recording: where its path is, if several topics hold one")
-    tool: str = parameter("", text="of a program with several tools: whose moves are run, as T1")
+    topic: str = parameter("", text="topic of the path in a recording that has several")
+    tool: str = parameter("", text="tool of a program with several tools whose moves are run, as T1")
     offsets: np.ndarray = parameter(
         [],
         unit="mm",
@@ -299,9 +303,15 @@ class Tolerances(Record):
     A feature takes its own tolerance, else that of walls or floors, else ``tolerance``.
     """
 
-    tolerance: float = parameter(0.0, unit="um", low=0.0, high=1e5, text="of walls and floors; 0: not asked for")
-    wall_tolerance: float = parameter(0.0, unit="um", low=0.0, high=1e5, text="of walls; 0: that of the part")
-    floor_tolerance: float = parameter(0.0, unit="um", low=0.0, high=1e5, text="of floors; 0: that of the part")
+    tolerance: float = parameter(
+        0.0, unit="um", low=0.0, high=1e5, text="largest allowed error of walls and floors; 0: no tolerance"
+    )
+    wall_tolerance: float = parameter(
+        0.0, unit="um", low=0.0, high=1e5, text="largest allowed error of walls; 0: that of the part"
+    )
+    floor_tolerance: float = parameter(
+        0.0, unit="um", low=0.0, high=1e5, text="largest allowed error of floors; 0: that of the part"
+    )
     features: tuple[str, ...] = parameter((), text="tolerances of single features in um, as name=30")
 
     def check(self) -> None:
@@ -350,7 +360,7 @@ class Program(Record):
     approach_speed_percent: int = parameter(10, low=1, high=100, text="axis speed of the PTP motions")
     approach_feed: float = parameter(0.05, unit="m_per_min", above=0.0, high=60.0, text="down to the first point")
     safe_height: float = parameter(
-        0.05, unit="mm", low=0.0, high=2000.0, text="of approach and retract above the stock's top"
+        0.05, unit="mm", low=0.0, high=2000.0, text="height of approach and retract above the stock's top"
     )
     home: str = parameter("XHOME", text="axis position before and after: that of $CONFIG.DAT, or home_deg")
     home_angles: np.ndarray = parameter(
@@ -404,16 +414,23 @@ class Uncertainty(Record):
     tool that the cell takes as rigid are drawn evenly from 0 to the value here; ``end_share`` evenly within its range.
     """
 
-    joint_compliance: float = parameter(0.15, low=0.0, high=1.0, text="of each joint's compliance")
-    force_coefficient: float = parameter(0.3, low=0.0, high=1.0, text="of each coefficient of the force law")
+    joint_compliance: float = parameter(
+        0.15, low=0.0, high=1.0, text="relative standard deviation of each joint's compliance"
+    )
+    force_coefficient: float = parameter(
+        0.3, low=0.0, high=1.0, text="relative standard deviation of each coefficient of the force law"
+    )
     joint_compliances: np.ndarray = parameter(
-        [], low=0.0, high=1.0, text="of each joint on its own, as identified; empty: joint_compliance for all"
+        [],
+        low=0.0,
+        high=1.0,
+        text="relative standard deviation by joint, as identified; empty: joint_compliance for all",
     )
     force_coefficients: np.ndarray = parameter(
         [],
         low=0.0,
         high=1.0,
-        text="of each coefficient of the force law on its own; those left out, axial or all: force_coefficient",
+        text="relative standard deviation by coefficient of the law; missing ones, axial or all: force_coefficient",
     )
     # assumed: a worn edge doubles the edge forces, which are half of a light cut, before it is changed
     tool_wear: float = parameter(
@@ -439,9 +456,15 @@ class Uncertainty(Record):
         [0.0, 1.0], low=0.0, high=1.0, text="lowest and highest cutting.end_share of a plant; empty: that of the cell"
     )
     # assumed: holder and spindle nose, which the beam leaves out, and the section of the flutes
-    tool_compliance: float = parameter(0.2, low=0.0, high=1.0, text="of the compliances of base and tool of the cell")
-    damping_ratio: float = parameter(0.3, low=0.0, high=1.0, text="of the damping ratio of all modes")
-    frequency: float = parameter(0.1, low=0.0, high=1.0, text="of the frequencies of all modes, by the moving masses")
+    tool_compliance: float = parameter(
+        0.2, low=0.0, high=1.0, text="relative standard deviation of the compliances of base and tool of the cell"
+    )
+    damping_ratio: float = parameter(
+        0.3, low=0.0, high=1.0, text="relative standard deviation of the damping ratio of all modes"
+    )
+    frequency: float = parameter(
+        0.1, low=0.0, high=1.0, text="relative standard deviation of the frequencies of all modes, by the moving masses"
+    )
     reference_inertia: float = parameter(
         1.0,
         low=0.0,
@@ -476,7 +499,11 @@ class Uncertainty(Record):
         1.0, low=0.0, high=1.0, text="how far a plant's controller joins points otherwise, see imperfections.joining"
     )
     placement: float = parameter(
-        0.05e-3, unit="mm", low=0.0, high=10.0, text="of the stock's place along each axis of the workpiece frame"
+        0.05e-3,
+        unit="mm",
+        low=0.0,
+        high=10.0,
+        text="standard deviation of the stock's place along each axis of the workpiece frame",
     )
     matters_above: float = parameter(
         10e-6, unit="um", low=0.0, high=1e4, text="deviations below this do not matter to the part"

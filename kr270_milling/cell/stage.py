@@ -61,6 +61,9 @@ def removal_along(name: str, tool: Tool, path: Toolpath) -> Removal:
     count = 2 + min(most_places, int(length / min(radius / places_per_radius, farthest)))
     distance = np.union1d(np.linspace(0.0, length, count), np.cumsum(path.block_length))
     position = path.position_at(distance)
+    if tool.type == "program" and path.program.current and path.program.current.kind == "drill":
+        point = math.radians(59.0)  # half the angle of a twist drill of type N, DIN 1836
+        tool = tool.replace(type="tapered", taper=point)
     return Removal(name, radius, position, position, cutter=tool)
 
 

@@ -5,13 +5,13 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 from collections.abc import Callable, Iterable
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from kr270_milling.base.column import column, computed
+from kr270_milling.base.column import column, computed, counted
 from kr270_milling.base.errors import InputError
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import ScoredPass, simulate
@@ -26,7 +26,7 @@ from kr270_milling.decide.check_arm import (
     link_contacts,
     load_reversals,
 )
-from kr270_milling.decide.check_cut import Residue, contact_violations, cut_violations, residue_of
+from kr270_milling.decide.check_cut import Contacts, Residue, cut_violations, path_contacts, residue_of
 from kr270_milling.decide.findings import SEVERITIES, Finding, gathered, placed, violation
 from kr270_milling.decide.inputs import input_violations
 from kr270_milling.decide.programs.files import knot_feeds
@@ -124,8 +124,7 @@ class Checked:
     @property
     def counts(self) -> str:
         """Points, stops and warnings."""
-        counts = ", ".join(f"{self.count(s)} {s}{'' if self.count(s) == 1 else 's'}" for s in ("stop", "warning"))
-        return f"{self.points} points, {counts}"
+        return f"{self.points} points, " + ", ".join(counted(self.count(s), s) for s in ("stop", "warning"))
 
     def lines(self, short: bool = False) -> list[str]:
         """Return a line for each finding, then the summary; short: stops, warnings, stability and the summary."""
@@ -183,24 +182,24 @@ def check(
     about: dict[str, Any] = {}  # what follows where the arm can make the path
     reachable = joints is not None and not any(v.what == "joint limit" for v in results)
     del joints  # of a long program they take 100 MB
-    if reachable and reference is None and fed is not None:
+    if reachable and reference is None and path.target is not run:
         run = path.target  # slowed down to what the joints can do
         results, _ = arm_violations(arm_of(cell), cell.limits, run)
     results += [*input_violations(cell), *more]
     if reachable:
-        results += link_contacts(arm_of(cell), cell.tool.stick_out, cell.workpiece, cell.stock, run)
         straight = run.velocity is None and path.target.velocity is not None
         robot_program = cell.krl.replace(motion=motion or ("LIN" if straight else cell.krl.motion))
         results += _correction(cell, path.target, run, robot_program)
         fixed = fixed_knots(path.target.standing, knot_feeds(path, len(path.target)))
-        blocks = about["blocks"] = program_blocks(robot_program, path.target, run, fixed)
-        if robot_program.motion == "LIN" and not robot_program.blend_distance:
-            results.append(violation("no blending", blocks.points, int(path.target.standing.sum())))
-        with ThreadPoolExecutor(1) as pool:
-            statement = pool.submit(stability_statement, cell)  # on another core than the pass and the contacts
-            ran, cut = _cut(cell, run, ran, progress)
-            results += cut
-            about["ran"] = ran
+        with ThreadPoolExecutor(1) as pool:  # on another core than the pass
+            contacts, statement = pool.submit(path_contacts, cell, run), pool.submit(stability_statement, cell)
+            links = pool.submit(link_contacts, arm_of(cell), cell.tool.stick_out, cell.workpiece, cell.stock, run)
+            size = pool.submit(program_blocks, robot_program, path.target, run, fixed)
+            ran, cut = _cut(cell, run, ran, contacts, progress)
+            results += [*links.result(), *cut]
+            about |= {"ran": ran, "blocks": size.result()}
+            if robot_program.motion == "LIN" and not robot_program.blend_distance:
+                results.append(violation("no blending", about["blocks"].points, int(path.target.standing.sum())))
             about["rapid_moves"] = tuple(placed(path, run, f) for f in cut if f.what == "rapid in material")
             with contextlib.suppress(*arm_errors), progress("stability"):  # the pass reports the same error
                 about["stability"] = statement.result()
@@ -232,7 +231,7 @@ def _of_pass(
 
 
 def _cut(
-    cell: Cell, run: Trajectory, ran: ScoredPass | None, progress: Callable
+    cell: Cell, run: Trajectory, ran: ScoredPass | None, contacts: Future[Contacts], progress: Callable
 ) -> tuple[ScoredPass | None, list[Finding]]:
     """The pass along ``run``, simulated where it was not yet, and what it shows."""
     try:
@@ -249,8 +248,8 @@ def _cut(
         failed = violation("load on the arm", error.load_factor, 1.0, sentence=str(error))
     else:
         with progress("stock and fixtures"):
-            return ran, cut_violations(cell, run, ran)
-    return None, [failed, *contact_violations(cell, run)]
+            return ran, cut_violations(cell, run, ran, contacts.result())
+    return None, [failed, *(found for part in contacts.result() for found in part)]
 
 
 def _correction(cell: Cell, target: Trajectory, run: Trajectory, robot_program: Program) -> list[Finding]:

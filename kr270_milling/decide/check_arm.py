@@ -32,7 +32,7 @@ from kr270_milling.physics.cutting import Stock
 from kr270_milling.physics.motion.backlash import tool_jumps
 from kr270_milling.physics.robot import Arm, singularity_measures, status_turn
 from kr270_milling.physics.robot.arm import ASSUMED_BACKLASH
-from kr270_milling.physics.robot.errors import SingularityError
+from kr270_milling.physics.robot.errors import ReachError, SingularityError
 from kr270_milling.physics.robot.inverse import branches
 from kr270_milling.physics.robot.kinematics import forward
 from kr270_milling.physics.robot.urdf import LINKS, link_capsules
@@ -42,15 +42,18 @@ def arm_violations(placed: PlacedArm, limits: Limits, run: Trajectory) -> tuple[
     """The findings about the arm, and the joint positions [rad], (n, 6); None where a point is out of reach."""
     most_turned = 4 * np.pi  # [rad], of joints that have no limits
     arm = placed.arm
-    results = _reach(placed, run)
-    if results:
-        return results, None
     unlimited = arm.replace(joint_lower=np.full(6, -most_turned), joint_upper=np.full(6, most_turned))
     try:
         joints = dataclasses.replace(placed, arm=unlimited).joints(run)
+    except ReachError:
+        results = _reach(placed, run)
+        if not results:  # of this branch alone
+            raise
+        return results, None
     except SingularityError as error:
-        point = error.index[0] + 1
-        return [violation("singularity", error.measure, 0.0, point, sentence=f"point {point}: {error}")], None
+        point = (*error.index, 0)[0] + 1
+        stuck = violation("singularity", error.measure, 0.0, point, sentence=f"point {point}: {error}")
+        return _reach(placed, run) or [stuck], None
     at_rest = run.velocity is not None and not run.velocity[[0, -1]].any()
     results = _joint_limits(arm, joints) + _singularities(arm, limits, joints) + _flips(arm, joints)
     rates = _joint_rates(run.time, joints, arm.joint_speed_limit, arm.joint_acceleration_limit, at_rest)

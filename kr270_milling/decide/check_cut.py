@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
+from scipy.ndimage import maximum_filter
 from scipy.spatial import cKDTree
 
 from kr270_milling.base.column import column
@@ -67,6 +68,9 @@ class Engagement:
     volume: np.ndarray  #: volume that rapid moves remove on the way to the place [m^3], (m,)
 
 
+Contacts = tuple[list[Finding], list[Finding]]
+
+
 def engagement(cell: Cell, margin: float, ran: ScoredPass | None = None) -> Engagement:
     """Run the programmed path through the stock on a height map of nodes; default: without deflection.
 
@@ -113,7 +117,8 @@ def engagement(cell: Cell, margin: float, ran: ScoredPass | None = None) -> Enga
         grid = with_profile(grid, cell.tool)
         narrow = np.maximum(radius - max(margin, ROUNDING) - sideways, 0.0)
         lost = np.full((2, *(grid.depth.shape if core else (0, 0))), -2.0, np.float32)
-        _meet(grid, np.zeros_like(grid.depth), moved, series, (radius, core), narrow, discs, lost, met)
+        wanted = np.ones(len(moved), bool) if ran is None else _near_rapid(moved, rapid, grid.top, 2.0 * radius + step)
+        _meet(grid, np.zeros_like(grid.depth), moved, series, wanted, (radius, core), narrow, discs, lost, met)
     return Engagement(
         position,
         axes,
@@ -130,6 +135,16 @@ def engagement(cell: Cell, margin: float, ran: ScoredPass | None = None) -> Enga
         margin + lengthwise,
         volume,
     )
+
+
+def _near_rapid(position: np.ndarray, rapid: np.ndarray, top: float, reach: float) -> np.ndarray:
+    """Return the rapid places (m,), and those less than ``reach`` [m] from one below ``top``, whose cut it may meet."""
+    low = position[:, 2] < top
+    low[1:] |= low[:-1].copy()
+    square = (np.floor((position[:, :2] - position[:, :2].min(axis=0)) / reach)).astype(int)
+    near = np.zeros(square.max(axis=0) + 1, bool)
+    near[tuple(square[rapid & low].T)] = True
+    return maximum_filter(near, 3)[tuple(square.T)] | rapid
 
 
 def _split(vectors: np.ndarray, axes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -294,8 +309,8 @@ def _discs(bodies: list[tuple[str, np.ndarray]], deepest: float) -> np.ndarray:
 
 
 @njit(cache=True, nogil=True)
-def _meet(grid, ahead, path, series, radii, narrow, bodies, lost, met):
-    """Fill ``met`` with what the tool meets on the way to each place, and lower the map.
+def _meet(grid, ahead, path, series, wanted, radii, narrow, bodies, lost, met):
+    """Fill ``met`` with what the tool meets on the way to each place that is wanted, and lower the map there.
 
     A series of rapid moves runs twice: first with the smaller radius of each place on the map ``ahead``, against the
     material before the series.
@@ -304,13 +319,15 @@ def _meet(grid, ahead, path, series, radii, narrow, bodies, lost, met):
     body_every = 8  # places between two at which shank and holder are compared with the material
     for k in range(path.shape[0]):
         last, count = path[max(k - 1, 0)], path.shape[0]
+        if not wanted[k]:
+            continue
         if series[k] and (k == 0 or series[k] != series[k - 1]):
             n = k
             while n < count and series[n] == series[k]:
-                cleared = n > 0 and (n == k or narrow[n] <= narrow[n - 1])
+                cleared = n > 0 and wanted[n - 1] and (n == k or narrow[n] <= narrow[n - 1])
                 inner[n] = lower(grid, ahead, narrow[n], path[max(n - 1, 0)], path[n], cleared)[0]
                 n += 1
-        depth[k], removed = lower(grid, grid.depth, radii[0], last, path[k], k > 0)
+        depth[k], removed = lower(grid, grid.depth, radii[0], last, path[k], k > 0 and wanted[k - 1])
         volume[k] = removed if series[k] else 0.0
         if radii[1] > 0.0:
             sunk[k] = near_axis(grid, lost, radii[1], path[k], k)[0]
@@ -358,12 +375,21 @@ def _places(cell: Cell) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray,
     return timed.toolpath.position_at(distance), np.broadcast_to(upright, (distance.size, 3)), time, block, step
 
 
-def cut_violations(cell: Cell, run: Trajectory, ran: ScoredPass) -> list[Finding]:
-    """Check the simulated pass along ``run`` and the programmed path in the stock, by the points of ``run``."""
+def cut_violations(cell: Cell, run: Trajectory, ran: ScoredPass, programmed: Contacts) -> list[Finding]:
+    """Check the simulated pass along ``run`` in the stock, by the points of ``run``; programmed: ``path_contacts``.
+
+    Where the rapid moves of the path meet no material, the simulated pass decides: its rapid moves must not enter the
+    material that its cutting moves leave, further than the arm springs back.
+    """
     if not ran.result.removed_volume > 0.0:
         return [violation("stock missed", 0.0, 0.0, 1)]
-    tilted = _tilted(cell, ran) if path_of(cell).tilts else []
-    return tilted + _spindle(cell, run, ran) + _tool(cell, run, ran) + contact_violations(cell, run, ran)
+    tilted, (contacts, results) = _tilted(cell, ran) if path_of(cell).tilts else [], programmed
+    timed = path_of(cell).timed
+    if not contacts and timed is not None and timed.toolpath.rapid.any():
+        earlier = cell.stage.earlier if cell.stage else ()
+        springs = [spring_back(cell, ran), *(removal.spring_back for removal in earlier)]
+        contacts = rapid_violations(run, engagement(cell, cell.limits.rapid_contact + max(springs), ran))
+    return [*tilted, *_spindle(cell, run, ran), *_tool(cell, run, ran), *contacts, *results]
 
 
 def spring_back(cell: Cell, ran: ScoredPass) -> float:
@@ -405,26 +431,11 @@ def _tool(cell: Cell, run: Trajectory, ran: ScoredPass) -> list[Finding]:
     return results + violations("tool bending", _by_points(run, ran, stress), limit)
 
 
-def contact_violations(cell: Cell, run: Trajectory, ran: ScoredPass | None = None) -> list[Finding]:
-    """Check the contacts along the programmed path: material at rapid, below the stock, fixtures.
-
-    Where its rapid moves meet no material, the simulated pass ``ran`` decides: its rapid moves must not enter the
-    material that its cutting moves leave, further than the arm springs back.
-    """
-    margin, timed = cell.limits.rapid_contact, path_of(cell).timed
-    contacts, results = _along_path(cell, run, margin)  # its places are released here
-    if ran and not contacts and timed is not None and timed.toolpath.rapid.any():
-        earlier = cell.stage.earlier if cell.stage else ()
-        margin += max([spring_back(cell, ran), *(removal.spring_back for removal in earlier)])
-        contacts = rapid_violations(run, engagement(cell, margin, ran))
-    return contacts + results
-
-
-def _along_path(cell: Cell, run: Trajectory, margin: float) -> tuple[list[Finding], list[Finding]]:
-    """Contacts of rapid moves without deflection, and the rest of what the tool meets."""
+def path_contacts(cell: Cell, run: Trajectory) -> Contacts:
+    """Contacts of the programmed path without deflection: of rapid moves with material, and with all else."""
     low, high, radius = cell.stock.min, cell.stock.max, cell.tool.radii.max()
     below, flutes = cell.limits.below_stock, cell.tool.flute_length
-    met = engagement(cell, margin)
+    met = engagement(cell, cell.limits.rapid_contact)
     points = _points(run, met)
     table = cell.workpiece.table_z
     beside = met.position[:, :2] - np.clip(met.position[:, :2], low[:2], high[:2])

@@ -232,7 +232,7 @@ def monte_carlo(
     the number of threads. Along a tool path the passes are quick (``coarser``). Where the errors of ``CHECKED`` robots
     differ from those of full passes by more than ``NEAR``, all passes are full.
     """
-    if not samples >= 1:
+    if not (hasattr(samples, "__index__") and samples >= 1):
         raise ParameterError("samples", samples, "a whole number of at least 1")
     target, straight = path_of(cell).target, path_of(cell).straight
     references = {method: revised, **(others or {})}

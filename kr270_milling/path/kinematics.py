@@ -31,13 +31,13 @@ class Kinematics(Record):
         text="machine that G-code with A, B, C was posted for: what carries its rotary axes",
     )
     axes: tuple[str, ...] = parameter(
-        ("C", "B"), choices=tuple(LETTERS), text="its two rotary axes, from the workpiece to the tool"
+        ("C", "B"), choices=tuple(LETTERS), text="two rotary axes of the machine, from the workpiece to the tool"
     )
     first_direction: np.ndarray = parameter(
         [], text="direction of the first axis in the frame of the program; empty: x for A, y for B, z for C"
     )
     second_direction: np.ndarray = parameter(
-        [], text="the same of the second axis; a nutating axis is not along x, y, z"
+        [], text="direction of the second axis; a nutating axis is not along x, y, z"
     )
     centre: np.ndarray = parameter(
         [0.0, 0.0, 0.0], unit="mm", low=-1e5, high=1e5, text="a point on both axes of a table, frame of the program"

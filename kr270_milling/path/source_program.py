@@ -87,6 +87,7 @@ class SourceProgram:
     tool_frame: tuple[float, ...] = ()  #: $TOOL of a KRL program, X, Y, Z [mm], A, B, C [deg]; empty: none by numbers
     base_frame: tuple[float, ...] = ()  #: $BASE
     rounding: float = 0.0  #: P of G64 [m], by which the control may leave a corner; 0: the program states none
+    stock: tuple[float, ...] = ()  #: x, y, z of the lower and of the upper corner of the blank [m]; empty: not stated
     beside: float = 0.0  #: radius in the comment on the tool, by which G41 and G42 move the path [m]; 0: they do not
     work_offset: str = ""  #: the origin of the coordinates, such as "G54"
     files: tuple[str, ...] = ()  #: further files that were read: sub-programs, data of a KRL program

@@ -116,6 +116,17 @@ def test_code_too_cannot_give_a_count_that_is_none():
             sample.replace(teeth=value)
 
 
+@pytest.mark.parametrize(("name", "values", "allowed"), [
+    ("speed", ["2", [2.0], None, 1j, 10**400], SPEED), ("on", [0, "no"], "true or false"),
+    ("mode", [["plain"], None], "one"), ("topics", [3], "a list"), ("inner", [None, 0.01], "a record Inner"),
+    ("angles", ["abc", [1.0, [2.0]], None], ANGLES),
+])  # fmt: skip
+def test_a_value_of_another_type_in_code_is_refused(name, values, allowed):
+    for value in values:
+        with pytest.raises(ParameterError, match=f"{name}.* but must be .*{allowed}"):
+            build(Sample, GOOD).replace(**{name: value})
+
+
 def shipped_records():
     for path in sorted(CONFIG.glob("*.yaml")):
         tree = read_tree(path)

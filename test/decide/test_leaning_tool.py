@@ -8,14 +8,15 @@ import pytest
 from samples.leaning import SHAPES, TILTS, Slot
 
 from kr270_milling.cell.models import path_of
-from kr270_milling.decide.check_cut import contact_violations
+from kr270_milling.decide.check_cut import path_contacts
 
 WHOLE = bool(os.environ.get("KR270_MILLING_LONG_TESTS"))  # all 177 collisions; otherwise two of each tool and tilt
 SLOTS = [(shape, tilt) for k, tilt in enumerate(TILTS) for n, shape in enumerate(SHAPES) if WHOLE or (k + n) % 3 == 0]
 
 
 def contacts(cell) -> list:
-    return [finding for finding in contact_violations(cell, path_of(cell).target) if finding.severity == "stop"]
+    found = path_contacts(cell, path_of(cell).target)
+    return [finding for part in found for finding in part if finding.severity == "stop"]
 
 
 @pytest.mark.parametrize("number", range(len(SLOTS)))

@@ -204,7 +204,7 @@ def test_a_feed_that_changes_within_a_straight_line_has_a_point_there(tmp_path):
         tmp_path, cell, target, target, method="x", date="2026-01-01", motions=["SPLINE"], tables=()
     )
     text = files["krl_spline"][0].read_text()
-    assert "$VEL.CP=0.017" in text and "$VEL.CP=0.067" in text  # [m/s], 1000 and 4000 mm/min
+    assert "$VEL.CP=0.0167" in text and "$VEL.CP=0.067" in text  # [m/s], 1000 and 4000 mm/min
 
 
 def test_feeds_meet_a_linear_load_and_stay_where_the_load_does_not_respond(tmp_path, monkeypatch):

@@ -73,12 +73,21 @@ CONVERSATIONAL = {
     "CYCL DEF 201 REAMING Q200=2 Q201=-1 Q206=60 Q203=+0\nL X+5 FMAX M99": [(5, 0, -1), (5, 0, 2)],
     "CYCL DEF 205 PECKING ~\nQ200=2 Q201=-5 Q206=60 Q202=3 Q203=0 Q212=0\nL X+5 FMAX M99": [(5, 0, -1), (5, 0, -4),
                                                                                    (5, 0, -5)],
-    "CYCL DEF 240 CENTERING Q200=2 Q343=1 Q201=-1 Q344=-5 Q206=60 Q203=0": "Q343 and Q379 of zero",
+    "CYCL DEF 240 CENTERING Q200=2 Q343=1 Q201=-1 Q344=-5 Q206=60 Q203=0": "Q343, Q379 and Q395 of zero",
+    "CYCL DEF 200 X Q200=2 Q201=-3 Q206=90 Q202=9 Q203=0 Q395=1": "Q343, Q379 and Q395 of zero",
+    "CYCL DEF 201 REAMING Q200=2 Q201=-1 Q206=60 Q203=0\nCYCL CALL POS X+5 Y+1 Z+0 FMAX": [(5, 1, -1), (5, 1, 2)],
+    "CYCL DEF 201 REAMING Q200=2 Q201=-1 Q206=60 Q203=0\nCYCL CALL POS X+5 Y+1 Z+1": "shifts the hole",
+    "L X+1\nM140 MB+3 F90\nL X+2": [(1, 0, 0), (1, 0, 3), (2, 0, 3)],
     "L X+5 RL": "radius of the tool",
     "L X+5\nRND R2": "RND without a next move", "C X+5 DR+": "C needs CC", "CT X+5 Y+0": "needs a move in the xy plane",
     "CALL LBL 7": "LBL 7 is not in this program", "LBL 1\nCALL LBL 1": "more than 10 labels call one another",
     "APPR LT X+5 LEN5": "lead-ins and lead-outs", "CYCL CALL": "before its CYCL DEF", "L A+5": "does not take A",
-    "TOOL CALL 1 Y": "takes a tool, Z", "X+5": "'X\\+5' is not read", "CC X+9 Y+0\nCP IPA-90 DR+": "turns against DR",
+    "TOOL CALL 1 Y": "takes a tool, Z", "TOOL CALL 1 Z S9 DL-5": "DL and DR of TOOL CALL move the path",
+    "L Z-2\nL M140 MB5\nL X+3\nL M140 MB 1 F90": [(0, 0, -2), (3, 0, 3), (3, 0, 4)],
+    "L Z-2\nL M140 MB MAX FMAX\nL X+3 Y+0 Z-2": [(0, 0, -2), (3, 0, -2)],
+    "L X+9 M140 MB5": "in a block of its own", "L Z-1\nL X-500 F9 M91": "a cut to a place of the machine",
+    "CC X+0 Y+5\nC X+0 Y+10 DR+ FMAX": "a rapid move on an arc",
+    "X+5": "'X\\+5' is not read", "CC X+9 Y+0\nCP IPA-90 DR+": "turns against DR",
 }  # fmt: skip
 
 
@@ -95,6 +104,32 @@ def test_a_conversational_program_leads_to_the_right_places_or_is_refused(tmp_pa
     for end, known in zip(1e3 * path.position[cutting], expected, strict=True):
         known = (known,) if isinstance(known, (int, float)) else known
         assert end[: len(known)] == pytest.approx(known, abs=1e-6)
+
+
+def test_a_program_in_inches_has_feeds_in_tenths_of_an_inch_and_states_the_blank(tmp_path):
+    # F100 in inches is 10 inches a minute (TNC7 User's Manual, "Cutting data")
+    blank = "BLK FORM 0.1 Z X-1 Y-1 Z-0.5\nBLK FORM 0.2 IX+2 Y+1 IZ+0.75\n"
+    (tmp_path / "a.h").write_text(f"BEGIN PGM A INCH\n{blank}L X+0 Y+0 Z+0 R0 FMAX M3\nL X+1 F100\nEND PGM A INCH\n")
+    path = read_toolpath(tmp_path / "a.h")
+    assert path.feed[-1] * 60 == pytest.approx(0.254) and path.program.feed_units == ("tenths of an inch a minute",)
+    assert np.array(path.program.stock) / 0.0254 == pytest.approx([-1, -1, -0.5, 1, 1, 0.25])
+
+
+@pytest.mark.parametrize(("fields", "stock"), [
+    (',"",,"BOX",112,5,-20,-80,-50,-40,50,40', [-50, -40, -20, 50, 40, 5]),
+    (',"",,"BOX",64,5,-20,-80,-50,-40,50,40', []), (',"",,"CYLINDER",64,5,-20,-80,50', []),
+])  # fmt: skip
+def test_workpiece_of_sinumerik_states_a_box_in_absolute_coordinates(tmp_path, fields, stock):
+    (tmp_path / "a.mpf").write_text(f"WORKPIECE({fields})\nG0 X0 Y0 Z0 S9 M3\nG1 X1 F600\nM30\n")
+    assert 1e3 * np.array(read_toolpath(tmp_path / "a.mpf").program.stock) == pytest.approx(stock)
+
+
+def test_fauto_takes_the_feed_of_the_tool_and_m5_stops_the_spindle_after_its_move(tmp_path):
+    lines = ["BEGIN PGM A MM", "TOOL CALL 1 Z S9000 F300", "L X+0 Y+0 Z+0 FMAX M3", "L X+1 F900", "L X+2 FAUTO M5"]
+    (tmp_path / "a.h").write_text("\n".join([*lines, "L X+3", "END PGM A MM", ""]))
+    path = read_toolpath(tmp_path / "a.h")
+    assert 6e4 * path.feed[1:] == pytest.approx([900, 300, 300])
+    assert (path.spindle_speed[1:] > 0).tolist() == [True, True, False]
 
 
 def test_the_whole_examples_are_read_under_every_name_of_their_kind(tmp_path):
@@ -239,6 +274,16 @@ def test_a_feed_per_revolution_goes_with_the_spindle_and_tools_and_what_moves_no
     np.testing.assert_allclose(path.position[2:] * 1e3, [[0, 0, 5], [9, 9, 5]])  # up first
 
 
+def test_a_spindle_stops_at_a_change_of_the_tool_and_goes_on_in_its_sense(read):
+    path = read("SPINDL/60,CCLW\nFEDRAT/600\nGOTO/0,0,0\nLOADTL/1\nGOTO/1,0,0\nSPINDL/ON\nGOTO/2,0,0\nFINI\n")
+    assert path.spindle_speed[-2:] == pytest.approx([0, -2 * np.pi])
+
+
+def test_a_single_length_leads_along_the_tool_axis(read):
+    path = read("FEDRAT/600\nGOTO/0,0,0,0.6,0,0.8\nGODLTA/-5\nFINI\n")
+    np.testing.assert_allclose(path.position[-1] * 1e3, [-3, 0, -4])
+
+
 CYCLES = {  #: the statement, and in G-code the same hole at a point 1 mm high, from 20 mm
     "CYCLE/DRILL,6.0,250.0,MMPM,3.0": "G99 G81 Z-5 R4 F250",
     "CYCLE/DRILL,  6.000000,MMPM,  250.000000,RAPTO,  $\n  3.000000": "G99 G81 Z-5 R4 F250",
@@ -326,6 +371,7 @@ REFUSED = {".apt": [
     ("LOADTL/1\nFEDRAT/9\nGOTO/0,0,0\nGOTO/1,0,0\nLOADTL/2\nGOTO/2,0,0\n", 5, "2 tools: T1 from line 1, T2"),
     ("GOTO/0,0,0\nMSYS/0,0,0,1,0,0,0,1,0\n", 2, "MSYS"), ("GOTO/0,0,0\nFEDRAT/0\nGOTO/1,0,0\n", 3, "zero feed"),
     ("GOTO/0,0,0\nFEDRAT/-5\n", 2, "-5"), ("GOTO/0,0,0\nFEDRAT/0.1,MMPM,IPM\n", 2, "FEDRAT"),
+    ("LOADTL/1\nCUTTER/0.5\nUNITS/INCHES\n", 3, "after lengths that are read in mm"),
     ("GOTO/0,0,nan\n", 1, "NAN"), ("GOTO/0,0\n", 1, "not 2 numbers"), ("GOTO/0,0,0,0,0,2\n", 1, "length 2"),
     ("GOTO/0,0,0,0,0,-1\n", 1, "below"), ("UNITS/FURLONGS\n", 1, "FURLONGS"),
     ("GOTO/0,0,0\nFEDRAT/600\nGOTO/1,0,0", 3, "cut off"), ("GOTO/0,0,0\nFEDRAT/600\nGOTO/1,$\n", 3, "continued"),

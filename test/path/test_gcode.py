@@ -97,6 +97,7 @@ REFUSED = [
     ("G41 D1 G1 X9 F100", "radius of the tool is not known"), ("M98 P100", "O100 is not in this file"),
     *((block, "post without macros") for block in ("#5220=5", "G1 X[#1+2]", "o100 sub", "WHILE [#1 LT 5] DO1")),
     ("G10 L2 P1 X5", "whose place is not known"), ("G92 A5", "G92 without X, Y or Z"),
+    ("G53 G1 X9", "a cut to a place of the machine"),
     ("G84 Z-5 R1 F100", "G84: leave threads out"), ("G5 X1 Y1 I1 J1", "G5 takes X, Y, I, J, P and Q"),
     ("G173", "G173: it is not known"), ("G1 X1 A90 F100", "A90: state the machine of the program"),
     ("TRANSMIT", "TRANSMIT: post tilted planes"), ("CYCLE81(10,0,2,-5)", "CYCLE81: let the CAM output the cycle"),

@@ -67,6 +67,13 @@ ENDS = {
     "o1 sub\nM73\nG91\nM71\no1 endsub\no1 call\nX4\nX1": [4, 5],
     "@10 ^90\n^0\nG91 @2 ^[180-90]": [(0, 10), (10, 0), (0, 12)],
     "G18 G98 G81 X3 Z-2 Y-4 R1": [(3, -4, -2)],
+    # a cycle goes on, whatever moves the coordinates
+    "G10 L2 P2 X50\nG99 G81 X1 Z-2 R1\nG55\nX2\nG52 Y4 Z1\nX3\nG28 Z9\nX4 Y0": [
+        (1, 0, -2),
+        (52, 0, -2),
+        (53, 0, -1),
+        (54, 4, -1),
+    ],
 }
 #: the same for words that LinuxCNC has not, by their definition
 OTHER_ENDS = {
@@ -123,6 +130,9 @@ REFUSED = {
     "G54\nG1 X5\nG56\nX6": "2 work offsets: G54 .* state their places with path.offsets_mm",
     "M98 P7\nO7\nX1\nM99": "runs into a sub-program",
     "M98 P7 H100\nM30\nO7\nX1\nN100 X2\nM99": "M98 with H, a sub-program from one of its lines on",
+    "T1 M6\nG43 H1 X1\nG10 L10 P1 R9": "G10 changes the length of T1",
+    "M21\nX5": "without shift, rotation, mirror",
+    "G10 L11 P1 R-5": "G10 states the wear of a tool",
     "(abort, no part)": "stops itself",
 }
 

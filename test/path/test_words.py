@@ -193,6 +193,7 @@ STATEMENTS = {
     **dict.fromkeys(("RETRCT", "CLEARP/XYPLAN,9\nRETRCT", "PLUNGE", "SAFETY/50", "INSERT G91", "PREFUN/70"), "as GOTO"),
     **dict.fromkeys(("ORIGIN/9,0,0", "CSYS/1,0,0", "MSYS/1,0,0", "ROTABL/90", "TRACUT/M1", "COPY/1"), "of one system"),
     **dict.fromkeys(("CUTCOM/ON,LEFT", "CUTCOM/ON", "CUTCOM/RIGHT,XYPLAN"), "tool's centre"),
+    **dict.fromkeys(("INSERT M05", "INSERT/F9000", "INSERT T2", "INSERT S900 M3"), "sets or moves"),
     "SPINDL/5000,6000": "2 speeds",
     "RAPID/MODAL": "one move",
     "AUXFUN/98": "AUXFUN/98",
@@ -201,9 +202,11 @@ STATEMENTS = {
     "CALL/M1": "without macros",
     "FOO/1": "FOO is not supported",
     **dict.fromkeys(f"{word} COST 100$" for word in ("PPRINT", "PARTNO", "REMARK", "INSERT", "TPRINT/T1", "COOLNT/ON")),
-    **dict.fromkeys(("CYCLE/OFF", "TLON", "CUTCOM/OFF", "CLEARP/XYPLAN,9", "UNLOAD/TOOL", "LOADTL/1,LENGTH,50")),
+    **dict.fromkeys(
+        ("CYCLE/OFF", "TLON", "CUTCOM/OFF", "CLEARP/XYPLAN,9", "UNLOAD/TOOL", "LOADTL/1,LENGTH,50\nSPINDL/ON")
+    ),
     **dict.fromkeys(("SPINDL/8000,RPM,CLW,RANGE,2", "SPINDL/RPM,8000,CLW,MAXRPM,9000", "$$-> FEATNO / 1.0, $\n 0.0")),
-    **dict.fromkeys(("RETRCT\nLOADTL/1", "FEDRAT/5.D+02,MMPM", "$$ COST 100$")),
+    **dict.fromkeys(("RETRCT\nLOADTL/1\nSPINDL/ON", "FEDRAT/5.D+02,MMPM", "$$ COST 100$", "INSERT N5 M08")),
 }
 
 

@@ -155,8 +155,8 @@ class _Logged(Interpreter):
         end = tuple(1e3 * value for value in self.on_path(ends[-1]))
         self.moves.append(Move(kind, end, 1e3 * length, math.nan if self.feed_mode == 95 else 6e4 * rate))
 
-    def home(self, axes) -> None:
-        super().home(axes)
+    def home(self, axes, feeds: bool = False) -> None:
+        super().home(axes, feeds)
         self.homes = True
         self.moves.append(Move("home", tuple(1e3 * value for value in self.position), math.nan, math.nan))
 

@@ -205,7 +205,6 @@ def _setup(cell: Cell) -> krl.Setup:
         centre,
         spindle,
         *law,
-        5 if cell.compensation.scheduled else 3,  # digits; of 1.2 m/min 0.05 % and 5 %
         fed.toolpath.program.external if fed else (0.0,) * 6,
     )
 

@@ -64,7 +64,6 @@ class Setup:
     spindle: str = ""  #: its speed and rotation in words, for an operator who starts it
     acceleration: float = 0.0  #: acceleration of the time law [m/s2]; 0: the times of the points come from elsewhere
     jerk: float = 0.0  #: jerk of the time law [m/s3]
-    speed_digits: int = 3  #: decimals of the speeds [m/s]
     external: tuple[float, ...] = (0.0,) * 6  #: E1 to E6, as the program of the path has them during its cuts
     date: str = ""
     source_hash: str = ""  #: SHA-256 of the recording or the tool path
@@ -136,10 +135,7 @@ def write_krl(
             rows, speed = _rows(run)[points], point_speeds(program, run, points, auxiliary, feeds)
             of_points = rows, speed, rests, auxiliary
             moves = [
-                [
-                    motion_lines(program, setup.speed_digits, comments[a:b], *(row[a:b] for row in of_points))
-                    for a, b in own
-                ]
+                [motion_lines(program, comments[a:b], *(row[a:b] for row in of_points)) for a, b in own]
                 for own in modules
             ]
             for part in _sources(program, setup, kind, run, moves, ends):

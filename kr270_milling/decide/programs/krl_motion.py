@@ -5,6 +5,7 @@ Numbers, frames and comments are written as a KR C4 reads them.
 
 from __future__ import annotations
 
+import math
 import re
 import textwrap
 import unicodedata
@@ -30,6 +31,12 @@ def shortest(value: float, digits: int) -> str:
     """As ``number``, without zeros at the end."""
     text = number(value, digits)
     return text.rstrip("0").rstrip(".") if "." in text else text
+
+
+def speed_text(value: float) -> str:
+    """A speed [m/s] to 2 %; with more digits most segments of one feed would state a speed of their own."""
+    enough = 0.025  # [m/s], from which on three decimals are
+    return shortest(value, 3 + max(0, math.ceil(math.log10(enough / value)))) if value else "0"
 
 
 def frame_row(pose: Pose) -> np.ndarray:
@@ -147,7 +154,6 @@ def modules_of(
 
 def motion_lines(
     program: Program,
-    digits: int,
     comments: Sequence[str],
     rows: np.ndarray,
     speed: np.ndarray,
@@ -161,7 +167,7 @@ def motion_lines(
     run on KR C2 and KR C4 are written so (javakuka.com).
     """
     lines: list[str] = []
-    feeds = [f"$VEL.CP={shortest(value, digits)}" for value in speed]
+    feeds = [f"$VEL.CP={speed_text(value)}" for value in speed.tolist()]
     rests = rests.copy()
     rests[-1] = True
     spline = program.motion == "SPLINE"
@@ -209,7 +215,7 @@ def point_speeds(
         lower = np.where(change, np.fmin(feeds[1:], feeds[:-1]), np.inf)
         lower[np.isnan(feeds[1:] + feeds[:-1])] = np.inf
         fastest = np.minimum(fastest, np.minimum.reduceat(lower, points[:-1]))
-    slowest = 1e-3  # [m/s], the step of the speeds that are written
+    slowest = 1e-6  # [m/s]
     speed = np.concatenate([[0.0], np.maximum(fastest, slowest)])
     middle = np.flatnonzero(auxiliary)  # both halves of an arc have one speed
     speed[middle] = speed[middle + 1] = np.maximum(speed[middle], speed[middle + 1])

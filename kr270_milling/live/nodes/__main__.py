@@ -51,11 +51,13 @@ def start(name: str | None = None) -> int:
     if name == "milling_cell":
         return run_nodes([_node_class(node) for node in _chosen_nodes()])
     if {"-h", "--help"} & set(sys.argv[1:]):
+        needed = "directory:=DIR" if name == "recorder" else "cell_file:=CELL.yaml"
         parser = argparse.ArgumentParser(
             prog=name,
-            usage=f"{name} --ros-args -p cell_file:=CELL.yaml [-p NAME:=VALUE] [-r NAME:=NAME]",
-            description=(_node_class(name).__doc__ or "").split("\n\n")[0],
-            epilog="ros2 param describe lists the parameters of a running node. The cell is read once.",
+            usage=f"{name} --ros-args -p {needed} [-p NAME:=VALUE] [-r NAME:=NAME]",
+            description=(_node_class(name).__doc__ or "").split("\n\n")[0].replace("``", ""),
+            epilog="kr270_milling/guide/nodes.md lists the parameters, ros2 param describe those of a running node. "
+            "Files are read once.",
         )
         parser.print_help()
         return 0
@@ -70,10 +72,15 @@ def _chosen_nodes() -> list[str]:
     """Return the nodes on the command line of ``milling_cell``."""
     from kr270_milling.live.ros.spin import own_arguments
 
-    parser = argparse.ArgumentParser(prog="milling_cell", description="Run several nodes in one process.")
-    parser.add_argument(
-        "nodes", metavar="NODE", nargs="*", default=["compliant_robot", "cutting_process"], help=", ".join(CLASSES)
+    parser = argparse.ArgumentParser(
+        prog="milling_cell",
+        description="Run several nodes in one process.",
+        epilog="example: milling_cell compliant_robot cutting_process --ros-args -p cell_file:=CELL.yaml "
+        "-p compliant_robot:pace:=1.0; a parameter without the name of a node reaches all of them",
     )
+    default = ["compliant_robot", "cutting_process"]
+    about = f"{', '.join(CLASSES)} (default: {' '.join(default)})"
+    parser.add_argument("nodes", metavar="NODE", nargs="*", default=default, help=about)
     names = parser.parse_args(own_arguments()).nodes
     unknown = [name for name in names if name not in CLASSES]
     if unknown or len(set(names)) < len(names):

@@ -14,7 +14,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rosgraph_msgs.msg import Clock
 
 from kr270_milling.base.arguments import PLAY, end_process
-from kr270_milling.base.errors import MillingError, RecordingError, one_line
+from kr270_milling.base.errors import MillingError, RecordingError, nearest, one_line
 from kr270_milling.live.ros.node import ERROR, OK, WARN, ReportingNode, stamp_from_ns
 from kr270_milling.live.ros.spin import own_arguments, run_node
 from kr270_milling.live.ros.topics import message_class
@@ -64,7 +64,7 @@ class Player(ReportingNode):
         known = self.recording.topics()
         missing = sorted(set(args.topics or ()) - set(known))
         if missing:
-            raise RecordingError(self.recording.path, f"has no topic {', '.join(missing)}")
+            raise RecordingError(self.recording.path, f"has no topic {', '.join(missing)}{nearest(missing[0], known)}")
         wanted = {topic: about for topic, about in known.items() if about.count and topic in (args.topics or known)}
         if args.clock is not None:
             wanted.pop("/clock", None)

@@ -214,7 +214,7 @@ class Recorder(ManagedNode):
         self._publish_name("")
         self.create_timer(0.1, lambda: self.session and self.session.discover())  # [s]
         if self.autostart and not directory:
-            raise InputError(self._where, "directory is missing")
+            raise InputError(self._where, "directory is missing: -p directory:=DIR")
         self.report(OK, "not recording")
         if self.autostart:
             self._start_alone()

@@ -17,7 +17,7 @@ from rclpy.task import Future
 from rclpy.utilities import remove_ros_args
 
 from kr270_milling.base.arguments import STOPS, end_process, flush
-from kr270_milling.base.errors import MillingError
+from kr270_milling.base.errors import MillingError, nearest
 from kr270_milling.live.ros.environment import PARENT, keep_to_this_host
 
 
@@ -76,6 +76,11 @@ def _run_nodes(makes: Sequence[Callable], args: list[str] | None, signals: list[
     except (MillingError, ParameterException) as error:
         _print_error(error)
         return 2
+    known = {name for node in nodes for name in node._parameters}  # noqa: SLF001 - rclpy has no public list
+    unknown = sorted({name for node in nodes for name in node._parameter_overrides} - known)  # noqa: SLF001
+    if unknown:  # ROS ignores these
+        more = nearest(unknown[0], known) if len(unknown) == 1 else ""
+        nodes[0].get_logger().warning(f"unknown parameters are ignored: {', '.join(unknown)[:300]}{more}")
     if args is None:
         gc.freeze()  # a full collection of the imported modules stops a recorder for 0.1 s
     executor = EventsExecutor(context=context)

@@ -206,7 +206,10 @@ class _AptReader(Machine):
 
     def _text(self, word: str, text: str, block: str) -> None:
         # a block of an INSERT that sets or moves
-        if word == "INSERT" and re.search(r"(?<![A-Z])[GXYZIJKRUVWABC]\s*[-+.]?[0-9]", block, re.I):
+        words = re.findall(r"(?<![A-Z])([A-Z])\s*([-+]?\.?[0-9]+)", block, re.I) if word == "INSERT" else ()
+        if any(
+            letter not in "Nn" and (letter not in "Mm" or float(number) not in SILENT_M) for letter, number in words
+        ):
             self.program.refuse(word, f"INSERT {short(block.strip(' /'))!r} sets or moves", MOVES, lost=True)
             return
         self.program.count(word)
@@ -243,6 +246,7 @@ class _AptReader(Machine):
             name = f"T{int(number)}"
         self.numbered = True
         self.retracted = 0
+        self.program.spindle_speed = 0.0  # as M6 stops it
         self.change_tool(name)
 
     def change_tool(self, tool: str) -> None:
@@ -306,12 +310,10 @@ class _AptReader(Machine):
     @contextlib.contextmanager
     def _plane(self, axis: Sequence[float]) -> Iterator[Callable[[Sequence[float]], list[float]]]:
         """Run what follows in a plane whose z is ``axis``; yields the map of places and directions into the plane."""
-        cycle, turn = self.cycle, rotation_from_quaternion(np.array(tool_along(axis))) @ np.diag([1.0, -1.0, -1.0])
+        turn = rotation_from_quaternion(np.array(tool_along(axis))) @ np.diag([1.0, -1.0, -1.0])
         self.set_tilt(Pose(np.zeros(3), turn))
-        self.cycle = cycle
         yield lambda place: (turn.T @ np.array(place)).tolist()
         self.set_tilt(None)
-        self.cycle = cycle
 
     def _block(self, end: list[float]) -> None:
         if self.retracted:
@@ -439,7 +441,8 @@ class _AptReader(Machine):
 
     def _delta(self, values: list[str]) -> None:
         numbers = [_number(v) for v in values]
-        numbers = [0.0, 0.0, *numbers] if len(numbers) == 1 else numbers
+        if len(numbers) == 1:  # along the tool axis
+            numbers = (numbers[0] * tool_axis(np.array(self.program.quaternion))).tolist()
         if len(numbers) != 3 or not self.started:
             raise StatementError("GODLTA/ needs dx, dy, dz after a first GOTO/")
         self.incremental = True
@@ -480,8 +483,8 @@ class _AptReader(Machine):
         self.rapid = False
 
     def _spindle(self, values: list[str]) -> None:
-        spindle_words = ("ON", "RPM", "CLW", "LOW", "MEDIUM", "HIGH", "AUTO")
-        sense, speeds = 1, []
+        spindle_words = ("ON", "RPM", "LOW", "MEDIUM", "HIGH", "AUTO")
+        sense, speeds = 0, []
         rest = iter(values)
         for value in rest:
             if value == "OFF":
@@ -489,8 +492,8 @@ class _AptReader(Machine):
                 return
             if value in ("RANGE", "MAXRPM"):  # a gear or a limit
                 next(rest, "")
-            elif value == "CCLW":
-                sense = -1
+            elif value in ("CLW", "CCLW"):
+                sense = 1 if value == "CLW" else -1
             elif value[:1].isalpha() and value not in spindle_words:
                 raise StatementError(f"SPINDL/{short(value)} is not supported (ON, OFF, a number, RPM, CLW, CCLW are)")
             elif value not in spindle_words:
@@ -499,14 +502,14 @@ class _AptReader(Machine):
                     raise StatementError(f"the spindle speed {short(value)} is out of range")
         if len(speeds) > 1:
             raise StatementError(f"SPINDL/{short(','.join(values))} has {len(speeds)} speeds")
-        self.speed = speeds[0] if speeds else self.speed
-        self.program.spindle_speed = sense * self.speed
+        sense = sense or (-1 if not speeds and self.speed < 0 else 1)  # SPINDL/ON: as before
+        self.program.spindle_speed = self.speed = sense * abs(speeds[0] if speeds else self.speed)
 
     def _units(self, values: list[str]) -> None:
         if len(values) != 1 or values[0] not in LENGTHS:
             raise StatementError(f"UNITS/ needs MM or INCHES, not {short(','.join(values))!r}")
-        if self.started and not self.units_given and self.unit != LENGTHS[values[0]]:
-            raise StatementError(f"UNITS/{values[0]} comes after moves that are read in mm; write UNITS/ first")
+        if (self.started or self.program.known) and not self.units_given and self.unit != LENGTHS[values[0]]:
+            raise StatementError(f"UNITS/{values[0]} comes after lengths that are read in mm; write UNITS/ first")
         self.unit = LENGTHS[values[0]]
         self.units_given = True
 

@@ -36,6 +36,7 @@ LABEL = re.compile(r"(CALL )?LBL ?([0-9]+|\".*?\")(?: ?REP ?([0-9]+)(?:/[0-9]+)?
 SILENT = re.compile(
     r"BLK FORM|TOOL DEF|STOP\Z|FUNCTION RESET (?!TCPM)|CYCL DEF (?:247|32\.|9\.)|FN ?(?:14|16|38):|M ?0*[01]\Z"
 )
+BLANK = re.compile(r"BLK FORM 0\.([12])(?: Z(?= ))? ([^Z].*)")  #: a corner of a box
 #: turns, mirrors, scales that change nothing with zeros alone
 RESETS = re.compile(r"CYCL DEF (?:8|10|11|19)\.[0-9]+")
 SHIFT = re.compile(r"(?:CYCL DEF 7\.[0-9]+|TRANS DATUM)(?: DATUM SHIFT| AXIS| RESET)?")
@@ -77,9 +78,11 @@ class _Conversational(Machine):
     def __init__(self, program: ProgramBuilder, feed: float):
         super().__init__(program, feed)
         self.absolute_centre = True
+        self.called_feed = self.feed  #: of TOOL CALL, which FAUTO takes [m/s]
         self.speed = 0.0  #: [rad/s]
         self.turning = 0
         self.datum = [0.0] * 3  #: shift of the datum [m]
+        self.low = [math.nan] * 3  #: lower corner of the blank [m]
         self.pole: complex | None = None  #: CC [m]
         self.heading: complex | None = None  #: direction of the last move in the xy plane
         self.arc_centre: complex | None = None  #: [m], of the block; None: given by its radius
@@ -212,12 +215,32 @@ class _Conversational(Machine):
             self.turn_to_plane()
 
     def _note(self, text: str) -> None:
-        """A statement that moves nothing; TOOL DEF states the radius of its tool."""
+        """A statement that moves nothing; TOOL DEF states the radius of its tool, BLK FORM the blank."""
+        if match := BLANK.match(text):
+            self._blank(match[1] == "2", self._words(match[2])[0])
+            return
         match = re.match(r"TOOL DEF ?([0-9]+|\".*\").*? R ?([-+]?[0-9.]+)", text)
         if match and 0 < float(match[2]) * self.unit <= 0.1:
             name = _tool_name(match[1])
             self.program.known[name] = ProgramTool(name, diameter=2 * float(match[2]) * self.unit)
         self.program.count(" ".join(text.split()[:2]))
+
+    def _blank(self, upper: bool, words: dict[str, float]) -> None:
+        """A corner of the blank; IX, IY, IZ of the upper one count from the lower one."""
+        corner = [words.get(axis, math.nan) * self.unit for axis in "XYZ"]
+        if not upper:
+            self.low = corner
+            return
+        pairs = zip("XYZ", corner, self.low, strict=True)
+        self.program.state_stock(
+            [
+                *self.low,
+                *(
+                    words.get(f"I{a}", math.nan) * self.unit + low if math.isnan(value) else value
+                    for a, value, low in pairs
+                ),
+            ]
+        )
 
     def _comment(self, comment: str, text: str) -> None:
         if len(self.program.comments) < 2000:
@@ -272,12 +295,13 @@ class _Conversational(Machine):
                 words.pop(word)
                 self.side, self.radius = side, math.nan
         rapid = words.pop("FMAX", None) is not None
-        words.pop("FAUTO", None)
+        if words.pop("FAUTO", None) is not None:
+            self.feed = self.called_feed
         if "F" in words:
-            self.set_feed(words.pop("F"), self.unit)
-        if turned := [number for number in functions if number in SPINDLE]:
-            self.turning = SPINDLE[int(turned[-1])]
-            self.program.spindle_speed = self.turning * self.speed
+            self._feed(words.pop("F"))
+        for number in functions:
+            if number in (3, 4, 13, 14):
+                self._turn(SPINDLE[int(number)])
         if other := [number for number in functions if number not in {*M_WORDS, *SPINDLE, 2, 30, 91, 92, 99, 128, 140}]:
             self.program.refuse(word_of("M", other[0]), advice="leave it out where it moves no axis", lost=True)
             return
@@ -289,16 +313,21 @@ class _Conversational(Machine):
         elif self.kinematics.letters and re.search(r"[ABC] ?\+?Q12[012]", text):
             self.turn_to_plane()
             words = {name: value for name, value in words.items() if name not in "ABC"}
-        if 140 in functions:  # back along the tool axis
-            words.pop("MB", None)
-            self.home(["Z"])
+        if 140 in functions:  # back along the tool axis, by MB or as far as it goes
+            back = words.pop("MB", math.inf)
+            if math.isinf(back):
+                self.home(["Z"])
+            elif words or self.program.quaternion != self.along_plane:
+                raise _Refused("M140 MB in a block of its own, with the tool along z")
+            else:
+                words["IZ"], rapid = back, not re.search(r"F ?[-+0-9Q.]", text)
         if "LA" in words and 120 in functions:
             words.pop("LA")
         for number in functions:
             if number in M_WORDS:
                 self.program.silent[word_of("M", number)] += 1
         if 91 in functions or 92 in functions:
-            self.home([axis for axis in "XYZ" if words.pop(axis, None) is not None])
+            self.home([axis for axis in "XYZ" if words.pop(axis, None) is not None], not rapid)
             self._swing(words, rapid)
         elif words.keys() <= {"A", "B", "C", "IA", "IB", "IC"}:
             self._swing(words, rapid)
@@ -311,8 +340,14 @@ class _Conversational(Machine):
             raise _Refused(f"{kind} does not take {next(iter(words))}")
         if 99 in functions:
             self._drill_here()
+        if 5 in functions:  # at the end of its block
+            self._turn(0)
         if 2 in functions or 30 in functions:
             self.ended = True
+
+    def _turn(self, turning: int) -> None:
+        self.turning = turning
+        self.program.spindle_speed = turning * self.speed
 
     def _swing(self, words: dict[str, float], rapid: bool) -> None:
         """A block of rotary axes alone."""
@@ -342,6 +377,8 @@ class _Conversational(Machine):
             self._polar_end(words, axes, start)
         self._take(words)
         mode = self.moving[kind](kind, words, axes, start)
+        if rapid and mode != 1:
+            raise _Refused(f"{kind} with FMAX is a rapid move on an arc")
         self.heading = None if mode in (2, 3) else self.heading
         self.move(axes, 0 if rapid and mode == 1 else mode)
         self.absolute = {}
@@ -439,22 +476,29 @@ class _Conversational(Machine):
 
     # --- tools and cycles ---
 
+    def _feed(self, value: float) -> None:
+        """F: mm a minute or, in a program in inches, tenths of an inch (TNC7 User's Manual, "Cutting data")."""
+        self.set_feed(value, self.unit if self.unit == MM else 0.1 * INCH)
+
     def _tool(self, text: str) -> None:
         match = re.match(r" ?([0-9]+|\".*?\")?(.*)", text)
         name, rest = match.groups() if match else (None, text)
         axis = re.match(r" ?([XYZ])(?![-+0-9])", rest)
         words, functions = self._words(rest[axis.end() :] if axis else rest)
-        if functions or words.keys() - {"S", "F", "DL", "DR"} or words.get("DR") or (axis and axis[1] != "Z"):
-            raise _Refused("TOOL CALL takes a tool, Z, S, F and DL")
+        if functions or words.keys() - {"S", "F", "DL", "DR"} or (axis and axis[1] != "Z"):
+            raise _Refused("TOOL CALL takes a tool, Z, S and F")
+        if words.get("DL") or words.get("DR"):
+            raise _Refused("DL and DR of TOOL CALL move the path; let the CAM output the allowance")
         if name:
             self.change_tool(_tool_name(name))
             self.program.length_offsets.add(self.program.tool)
-            self.turning = 0
+            self.turning, self.called_feed = 0, None
         if "S" in words:
             self.speed = words["S"] * 2 * math.pi / 60
         if "F" in words:
-            self.set_feed(words["F"], self.unit)
-        self.program.spindle_speed = self.turning * self.speed
+            self._feed(words["F"])
+            self.called_feed = self.feed
+        self._turn(self.turning)
 
     def _define(self, number: str, text: str) -> None:
         """CYCL DEF 200, 203 and 205 drill, 201 reams, 240 centres.
@@ -469,8 +513,10 @@ class _Conversational(Machine):
             raise _Refused(f"CYCL DEF {number} needs Q{', Q'.join(needed)}")
         surface, depth = values["203"] * self.unit, values["201"] * self.unit
         peck = values["202"] * self.unit if "202" in needed else -depth
-        if depth >= 0 or values["200"] < 0 or peck <= 0 or any(values.get(key) for key in ("212", "343", "379")):
-            raise _Refused("CYCL DEF needs a negative Q201, Q200 and Q202 above zero, and Q212, Q343 and Q379 of zero")
+        if depth >= 0 or values["200"] < 0 or peck <= 0 or any(values.get(key) for key in ("212", "343", "379", "395")):
+            raise _Refused(
+                "CYCL DEF needs a negative Q201, Q200 and Q202 above zero, and Q212, Q343, Q379 and Q395 of zero"
+            )
         level = surface + values["200"] * self.unit
         kind = 81 if peck >= -depth else 73 if values.get("213") or values.get("257") else 83
         kind = 85 if number == "201" else kind
@@ -481,13 +527,13 @@ class _Conversational(Machine):
         if text.startswith(" PAT"):
             raise _Refused("CYCL CALL PAT takes its points from another file")
         words, functions = self._words(text.removeprefix(" POS"))
-        if {"X", "Y"} <= words.keys() and text.startswith(" POS"):
-            height = max(self.position[2], self.hole[0].initial) if self.hole else self.position[2]
-            self.move({"X": words.pop("X"), "Y": words.pop("Y"), "Z": height / self.unit}, 0)
-            words.pop("Z", None)
+        if {"X", "Y"} <= words.keys() and text.startswith(" POS") and not words.pop("Z", 0.0):
+            if self.hole and not self.position[2] >= self.hole[0].initial:
+                self.move({"Z": self.hole[0].initial / self.unit}, 0)
+            self.move({"X": words.pop("X"), "Y": words.pop("Y")}, 0)
             words.pop("FMAX", None)
         if words or any(number not in M_WORDS and number not in SPINDLE for number in functions):
-            raise _Refused("CYCL CALL takes POS X Y Z or nothing")
+            raise _Refused("CYCL CALL takes nothing, or POS with X, Y and Z of zero, which shifts the hole")
         self._drill_here()
 
     def _drill_here(self) -> None:
@@ -496,7 +542,7 @@ class _Conversational(Machine):
         self.ends_contour("a drilling cycle")
         cycle, rate = self.hole
         feed = self.feed
-        self.set_feed(rate, self.unit)
+        self._feed(rate)
         self._hole(tuple(self.position), cycle, 2)
         self.feed = feed
 

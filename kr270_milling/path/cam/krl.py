@@ -36,7 +36,7 @@ BLOCKS = {
 #: words of statements without effect on the path
 SILENT = frozenset({
     "INTERRUPT", "TRIGGER", "WAIT", "PULSE", "ANOUT", "ANIN", "DIGIN", "CWRITE", "HALT", "CONTINUE", "SIGNAL", "EXT",
-    "EXTFCT", "IMPORT", "ENUM", "STRUC", "USERSPOT", "USER_GRP", "IR_STOPM", "TIME_BLOCK", "CONST_VEL", "INI", "CLEAR",
+    "EXTFCT", "IMPORT", "ENUM", "STRUC", "USERSPOT", "USER_GRP", "IR_STOPM", "CONST_VEL", "INI", "CLEAR",
 })  # fmt: skip
 TYPES = ("INT", "REAL", "BOOL", "CHAR", "FRAME", "POS", "E6POS", "AXIS", "E6AXIS", "FDAT", "LDAT", "PDAT")
 #: variables of the controller without effect on the path; those of speed, tool and base have a branch
@@ -99,6 +99,7 @@ class _KrlReader(Machine):
     def __init__(self, program: ProgramBuilder, feed: float, path: Path):
         super().__init__(program, feed)
         self.path = path
+        self.stated_feed = self.feed  #: that of the cell
         self.values: dict[str, Any] = {}
         self.whole: set[str] = set()  #: names of INT variables
         self.routines: dict[str, list[_Statement]] = {}
@@ -208,6 +209,8 @@ class _KrlReader(Machine):
             raise KrlError("a routine with parameters; " + POST)
         elif word in ("EXIT", "RETURN"):
             raise _Leave(word)
+        elif (match := re.search(r"\bDO\s+(\$[\w.]+).*=", text, re.I)) and not SILENT_SYSTEM.match(match[1].upper()):
+            raise KrlError(f"{word} sets {match[1]} within a move")
         elif word in SILENT or (word == "GLOBAL" and "INTERRUPT" in text.upper()):
             self.program.count(word)
         elif word in ("DECL", "GLOBAL", "CONST", *TYPES) and not text[len(word) :].lstrip().startswith("="):
@@ -326,12 +329,20 @@ class _KrlReader(Machine):
             self.override = float(self._value(text)) / 100
         elif name in ("$TOOL", "$BASE"):
             self._set_frame(name, text)
-        elif SILENT_SYSTEM.match(name) or (name == "$IPO_MODE" and text.strip().upper() == "#BASE"):
+        elif SILENT_SYSTEM.match(name):
+            self.program.count(name)
+        elif name == "$IPO_MODE":
+            self._interpolate(self._value(text))
             self.program.count(name)
         elif name[0] == "$":
             raise KrlError(f"{name} may move the coordinates; {POST}")
         else:
             self._store(name, text)
+
+    def _interpolate(self, mode: Any) -> None:
+        """$IPO_MODE: with #TCP the robot holds the workpiece."""
+        if isinstance(mode, str) and mode.upper() == "#TCP":
+            raise KrlError(f"$IPO_MODE #TCP moves the workpiece at a fixed tool; {POST}")
 
     def _set_speed(self, value) -> None:
         if not isinstance(value, (int, float)) or not 0 < value <= REACH:
@@ -368,10 +379,14 @@ class _KrlReader(Machine):
             self._set_frame(f"${word[1:]}", f"{word[1:]}_DATA[{rest[0]}]")
         elif word in ("#FRAMES", "#CP_PARAMS", "#PTP_PARAMS"):
             data = self.values.get("FDAT_ACT")
+            self._interpolate(data.get("IPO_FRAME") if isinstance(data, dict) else None)
             for name, key in (("$TOOL", "TOOL_NO"), ("$BASE", "BASE_NO")):
                 if isinstance(data, dict) and key in data:
                     self._set_frame(name, f"{name[1:]}_DATA[{data[key]}]")
-        elif re.match(r"#(?:INITMOV|ACC_|VEL_PTP|PTP_DAT|CP_DAT|OUT_|EX_)", word):
+        elif word == "#INITMOV":  # the speed is that of the controller again
+            self.program.count(f"BAS({word})")
+            self.feed = self.stated_feed
+        elif re.match(r"#(?:ACC_|VEL_PTP|PTP_DAT|CP_DAT|OUT_|EX_)", word):
             self.program.count(f"BAS({word})")
         elif word != "#VEL_CP":
             raise KrlError(f"BAS({short(word)}) is not known; {POST}")
@@ -434,7 +449,10 @@ class _KrlReader(Machine):
             self._set_speed(self._value(parts(match[1])[0]))
         elif match := re.fullmatch(r"SBASE\((.*)\)", value, re.I):
             self._set_frame("$BASE", f"BASE_DATA[{self._value(match[1])}]")
-        elif re.fullmatch(r"(?:SVEL_JOINT|SIPO_MODE|SLOAD|SACC_\w+|SAPO\w*|SGEAR_JERK|SJERK|STOOL)\(.*\)", value, re.I):
+        elif match := re.fullmatch(r"SIPO_MODE\((.*)\)", value, re.I):
+            self._interpolate(self._value(match[1]))
+            self.program.count(name.upper())
+        elif re.fullmatch(r"(?:SVEL_JOINT|SLOAD|SACC_\w+|SAPO\w*|SGEAR_JERK|SJERK)\(.*\)", value, re.I):
             self.program.count(name.upper())
         else:
             self._assign(name.upper(), value)

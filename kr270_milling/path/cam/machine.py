@@ -60,6 +60,7 @@ class Machine:
     def __init__(self, program: ProgramBuilder, feed: float):
         self.program = program
         self.unit = MM  #: unit of lengths in blocks
+        self.first_unit = 0.0  #: that of the first move, as in the comments on tools
         self.position: list[float] = [math.nan] * 3
         self.mode: float | None = None  #: 0 to 3, 5 and 5.1: a curve of degree 3 and 2
         self.leaving: complex | None = None  #: last control point of the curve before, from its end
@@ -145,7 +146,7 @@ class Machine:
         self.position = place.tolist() if all(map(math.isfinite, self.position)) else [math.nan] * 3
         if away:
             self.position[2] = TOP
-        self.tilt, self.cycle, self.along_plane = tilt, None, TOOL_DOWN
+        self.tilt, self.along_plane = tilt, TOOL_DOWN
         self.follow_tip(follows)
         try:
             if tilt is not None:
@@ -159,6 +160,7 @@ class Machine:
         self.angles = [0.0, 0.0] if self.tilt is None else [math.nan, math.nan]
 
     def go(self, end) -> None:
+        self.first_unit = self.first_unit or self.unit
         if self.turned_from is not None:
             self.turned_from = None
             self.program.quaternion = self._orientation(self.angles)
@@ -308,7 +310,7 @@ class Machine:
     def set_feed(self, value: float, unit: float) -> None:
         """The number of a feed, lengths in ``unit`` [m]."""
         most = 1e10  # a number above any feed that a CAM writes for "as fast as possible"
-        length = "inches" if unit == INCH else "mm"
+        length = {MM: "mm", INCH: "inches"}.get(unit, "tenths of an inch")  # of Heidenhain
         time = {93: "moves a minute (G93)", 94: "a minute", 95: "a revolution (G95)"}[self.feed_mode]
         self.program.feed_units[time if self.feed_mode == 93 else f"{length} {time}"] = None
         if 0 <= value <= most:
@@ -318,10 +320,15 @@ class Machine:
             word = f"F{value:g}"
             self.program.refuse(word, f"the feed {word} must lie between 0 and {most:g} per minute")
 
-    def home(self, axes: list[str]) -> None:
-        """The tool leaves the workpiece: up to the top height first, then X and Y are unknown."""
-        self.cycle = None
+    def home(self, axes: list[str], feeds: bool = False) -> None:
+        """The tool leaves the workpiece: up to the top height first, then X and Y are unknown.
+
+        feeds: the move cuts on its way to a place of the machine.
+        """
         self.ends_contour("a move home")
+        if feeds and axes and "Z" not in axes and self.position[2] <= 0.0:
+            reason = "a cut to a place of the machine, which is not known"
+            self.program.refuse(axes[0], reason, "let the CAM output coordinates of the workpiece", lost=True)
         if "Z" in axes:
             self.position[2] = TOP
             self.go(self.tip)
@@ -338,7 +345,6 @@ class Machine:
             self.ends_contour("a change of the tool")
             self.position, self.beside = list(self.tip), 0j  # the control reads the place of the tool: LinuxCNC
             self.program.change_tool(tool)
-            self.cycle = None
 
     # --- blocks ---
 
@@ -389,7 +395,7 @@ class Machine:
         scout = copy.deepcopy(self)
         strokes = scout.contour = []
         run(scout)
-        radii = {tool.name: tool.diameter / 2 for tool in scout.program.described_tools(scout.unit)}
+        radii = {tool.name: tool.diameter / 2 for tool in scout.program.described_tools(scout.first_unit or scout.unit)}
         for k, stroke in enumerate(strokes):
             if stroke is not None and math.isnan(stroke.radius):
                 strokes[k] = stroke._replace(radius=radii.get(stroke.tool, 0.0) or math.nan)

@@ -48,6 +48,7 @@ class ProgramBuilder(PathBuilder):
         self.comments: list[tuple[str, str, bool]] = []  #: with the tool, and whether it is the tool of their line
         self.external: tuple[float, ...] = (0.0,) * 6  #: external axes E1 to E6 during the cuts
         self.rounding = 0.0  #: largest P of G64 [m]
+        self.stock: tuple[float, ...] = ()  #: as in ``SourceProgram``
         self.displayed: dict[str, tuple[float, ...]] = {}  #: $TOOL and $BASE of the cuts, X, Y, Z [mm], A, B, C [deg]
         self.beside: dict[str, float] = {}  #: tool -> radius in its comment [m], by which G41 and G42 move the path
         self.length_offsets: set[str] = set()  #: tools with a length that the program switches on
@@ -59,6 +60,7 @@ class ProgramBuilder(PathBuilder):
         self.words = {"used": 0, "counted": 0, "refused": 0}  #: the numbers of words: all that were read
         self.refusals = 0  #: with those that follow from earlier ones
         self._runs: dict[str, tuple[str, int]] = {}  #: run -> tool, line of its begin
+        self._before: tuple = (math.nan,)  #: end of the last move of a run that is not wanted
         self._cuts: Counter[str] = Counter()  #: run -> cutting blocks
         self._speeds: dict[str, float] = {}  #: run -> first spindle speed of its cuts [rad/s]
         self._frames: dict[tuple[str, ...], int] = {}  #: (run, its frame) while cutting -> first line
@@ -70,10 +72,14 @@ class ProgramBuilder(PathBuilder):
     def rapid(self, end: tuple) -> None:
         """Go to a point; nothing is recorded until X, Y and Z are known."""
         if self.tool and self.spindle_speed and _differ(self.spindle_speed, self._speeds.get(self.run)):
+            before, (*_, height) = self.active, self._before
             self._begin_run()
+            if self.active > before and not self.away and math.isfinite(height):  # the tool stays where it is
+                self.move(self._before, 0.0, True, self.line)
         self.moved = True
         self._before_change = len(self.comments)
         if not self.active or any(map(math.isnan, end)):
+            self._before, self.away = end, self.away and self.active
             self.unknown = [axis for axis, value in zip("XYZ", end, strict=True) if math.isnan(value)]
             return
         if self.last is not None and (self.away or self.last[2] == TOP):
@@ -101,7 +107,7 @@ class ProgramBuilder(PathBuilder):
             self._speeds.setdefault(self.run, self.spindle_speed)
         self._frames.setdefault(self._key, self.line)
         if not self.active:
-            self.quaternion = turned[-1] if turned else self.quaternion
+            self.quaternion, self._before = turned[-1] if turned else self.quaternion, ends[-1]
             return
         if self.away or (self.last != start and not (self.last and math.dist(self.last, start) < ROUNDING)):
             self.rapid(start)
@@ -153,7 +159,6 @@ class ProgramBuilder(PathBuilder):
             self.run = self.tool
         elif self._cuts[runs[-1]]:
             self.run = f"{self.tool}_{len(runs) + 1}"
-            self.away = True
         else:
             self.run = runs[-1]
             self._runs.pop(self.run)
@@ -198,6 +203,11 @@ class ProgramBuilder(PathBuilder):
         A program without tools may be written by hand, and there each comment names the moves after it.
         """
         return self.named and self.moved and bool(self.tool)
+
+    def state_stock(self, corners: Sequence[float]) -> None:
+        """The blank that the program states, x, y, z of both corners [m]; one without an inside is none."""
+        if all(low < high for low, high in zip(corners[:3], corners[3:], strict=True)):
+            self.stock = tuple(corners)
 
     def name_operation(self, name: str, title: bool) -> None:
         """The operation of the moves that follow; title: the name is that of the whole program."""
@@ -270,6 +280,7 @@ class ProgramBuilder(PathBuilder):
             feed_units=tuple(self.feed_units),
             external=self.external,
             rounding=self.rounding,
+            stock=self.stock,
             tool_frame=self.displayed.get("$TOOL", ()),
             base_frame=self.displayed.get("$BASE", ()),
             beside=self.beside.get(self._runs.get(chosen, (chosen, 0))[0], 0.0),

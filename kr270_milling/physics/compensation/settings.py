@@ -26,7 +26,7 @@ class CompensationSettings(Record):
         "least_squares", text="what 'learned' and 'inverse' minimise", choices=("min_max", "least_squares")
     )
     interpolation: str = parameter(
-        "spline", text="of 'inverse' and 'learned' between the knots", choices=("spline", "linear")
+        "spline", text="motion of 'inverse' and 'learned' between the knots", choices=("spline", "linear")
     )
     max_passes: int = parameter(6, low=1, high=1000, text="most passes of 'learned' and of ``repeat``")
     repeat: bool = parameter(
@@ -36,7 +36,7 @@ class CompensationSettings(Record):
     # 0.1 mm in 12 ms is 8.3 mm/s, an eighth of the paper's feed: loads build up in a tenth of a second and need
     # less, so a faster change is noise or a mistake. 12 ms is the interpolation cycle of a KR C4, 4 ms its fast one.
     max_change_per_tick: float = parameter(
-        0.1e-3, unit="mm", above=0.0, high=50.0, text="largest change of the correction within one tick"
+        0.1e-3, unit="mm", above=0.0, high=50.0, text="largest change of the correction within one tick_ms"
     )
     feed: str = parameter(
         "keep",

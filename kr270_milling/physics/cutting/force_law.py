@@ -18,6 +18,7 @@ from numba.core import cgutils
 from numba.extending import intrinsic
 
 from kr270_milling.base.record import Record, specs
+from kr270_milling.base.units import UNITS
 from kr270_milling.physics.cutting.tool import Tool
 
 FORCES = types.UniTuple(types.float64, 3)
@@ -97,8 +98,14 @@ class ForceLaw(Record):
 
     @classmethod
     def fault(cls) -> str:
-        """Return a sentence on attributes of the class that contradict each other; empty where they fit."""
+        """Return a sentence on attributes of the class that are missing or contradict each other; empty: they fit."""
+        missing = [name for name in ("force", "scattered") if not hasattr(cls, name)]
+        if missing:
+            return f"the class has no attribute {missing[0]}"
         names = [spec.name for spec in specs(cls)]
+        units = [spec.unit for spec in specs(cls) if spec.unit not in UNITS]
+        if units:
+            return f"the unit {units[0]!r} is not one of {', '.join(filter(None, UNITS))}"
         unknown = [name for name in (*cls.scattered, *cls.axial_names) if name not in names]
         if unknown:
             return f"scattered and axial_names have {unknown[0]}, which is no coefficient"

@@ -74,17 +74,21 @@ class Tool(Record):
         "they say; indexable: a flat mill with inserts; tapered: also a chamfer mill and the point of a drill",
     )
     corner_radius: float = parameter(
-        0.0, unit="mm", low=0.0, high=100.0, text="of a bull nose, or of the tip of a tapered tool"
+        0.0, unit="mm", low=0.0, high=100.0, text="corner radius of a bull nose, or of the tip of a tapered tool"
     )
     taper: float = parameter(
-        0.0, unit="deg", low=0.0, high=89.0, text="of a tapered tool, between side and axis: half the angle of a point"
+        0.0,
+        unit="deg",
+        low=0.0,
+        high=89.0,
+        text="angle between side and axis of a tapered tool: half the angle of a point",
     )
     tip_diameter: float = parameter(
         0.0,
         unit="mm",
         low=0.0,
         high=200.0,
-        text="of a tapered tool at its tip; 0: a point, or the ball of corner_radius",
+        text="diameter of a tapered tool at its tip; 0: a point, or the ball of corner_radius",
     )
     profile: np.ndarray = parameter(
         [], unit="mm", low=0.0, high=500.0, text="radius, height, radius, height, ... from the tip up, for type: points"
@@ -97,13 +101,19 @@ class Tool(Record):
         high=100.0,
         text="roundness of the edges: the end edge presses in proportion to a layer a tooth that is thinner",
     )
-    flute_length: float = parameter(0.0, unit="mm", low=0.0, high=500.0, text="of the cutting edges; 0: not known")
+    flute_length: float = parameter(
+        0.0, unit="mm", low=0.0, high=500.0, text="length of the cutting edges; 0: not known"
+    )
     centre_cutting: bool = parameter(True, text="whether the tool can plunge straight into material")
     max_feed_per_tooth: float = parameter(
-        0.0, unit="mm", low=0.0, high=10.0, text="its maker's limit; 0: a tenth of the diameter, at most 0.94 mm"
+        0.0,
+        unit="mm",
+        low=0.0,
+        high=10.0,
+        text="limit of the tool's maker; 0: a tenth of the diameter, at most 0.94 mm",
     )
     max_cutting_speed: float = parameter(
-        0.0, unit="m_per_min", low=0.0, high=2e4, text="its maker's limit; 0: not known"
+        0.0, unit="m_per_min", low=0.0, high=2e4, text="limit of the tool's maker; 0: not known"
     )
 
     stick_out: float = parameter(

@@ -55,13 +55,13 @@ class Imperfections(Record):
         text="motion between points: 0 as planned, 1 with slopes from their neighbours (SPLINE), blended corners (LIN)",
     )
     wrench: str = parameter(
-        "noisy", choices=("none", "noisy", "exact"), text="of the cut, that the compensator receives off line"
+        "noisy", choices=("none", "noisy", "exact"), text="wrench of the cut that the compensator receives off line"
     )
     # assumed: a force sensor of some kN between flange and spindle, at the exchange rate, offset and gravity taken off
     wrench_noise: float = parameter(
         2.0, unit="n", low=0.0, high=1e4, text="standard deviation of each measured force while the tool cuts; noisy"
     )
-    seed: int = parameter(1, low=0, high=2**31 - 1, text="of noise and repeatability")
+    seed: int = parameter(1, low=0, high=2**31 - 1, text="seed of noise and repeatability")
     first_pass: int = parameter(0, low=0, high=1_000_000, text="passes whose random numbers are drawn already")
 
     def check(self) -> None:

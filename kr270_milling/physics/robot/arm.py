@@ -138,7 +138,7 @@ class Arm(Record):
         low=0.0,
         high=1e4,
         size=3,
-        text="of the ground under the robot: three springs that let base_link turn about its x, y, z; 0: rigid",
+        text="compliance of the ground: three springs that let base_link turn about its x, y, z; 0: rigid",
     )
     backlash: np.ndarray = parameter(
         ASSUMED_BACKLASH,
@@ -210,7 +210,12 @@ class Mount(Record):
     """Spindle and tool on the flange: where ``tcp`` is in ``flange``, and a rigid mass."""
 
     xyz: np.ndarray = parameter(
-        [0.0, 0.0, 0.0], unit="mm", text="tool tip in the flange frame", size=3, low=-5000.0, high=5000.0
+        [0.0, 0.0, 0.0],
+        unit="mm",
+        text="tool tip in the flange frame; or tool_kuka: TOOL_DATA",
+        size=3,
+        low=-5000.0,
+        high=5000.0,
     )
     abc: np.ndarray = parameter(
         [0.0, math.pi / 2, 0.0],
@@ -222,7 +227,7 @@ class Mount(Record):
     )
     mass: float = parameter(0.0, unit="kg", text="mass of spindle and tool", low=0.0, high=5000.0)
     mass_centre: np.ndarray = parameter(
-        [0.0, 0.0, 0.0], unit="mm", text="its centre in the flange frame", size=3, low=-5000.0, high=5000.0
+        [0.0, 0.0, 0.0], unit="mm", text="centre of this mass in the flange frame", size=3, low=-5000.0, high=5000.0
     )
     inertia: np.ndarray = parameter(
         [0.0, 0.0, 0.0],
@@ -230,7 +235,7 @@ class Mount(Record):
         size=3,
         low=0.0,
         high=1e4,
-        text="its moments of inertia about that centre, axes of the flange; for rigid masses",
+        text="moments of inertia of this mass about its centre, axes of the flange; for rigid masses",
     )
 
     def check(self):

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from kr270_milling.base.errors import InputError, RecordingError
+from kr270_milling.base.errors import InputError, RecordingError, nearest
 from kr270_milling.base.files import staged
 from kr270_milling.base.units import SECOND
 from kr270_milling.recordings.bag.reader import Recording
@@ -38,7 +38,7 @@ def export(
     known = recording.topics()
     missing = sorted(set(topics or ()) - set(known))
     if missing:
-        raise RecordingError(recording.path, f"has no topic {', '.join(missing)}")
+        raise RecordingError(recording.path, f"has no topic {', '.join(missing)}{nearest(missing[0], known)}")
     files: list[Path] = []
     refused: dict[str, str] = {}
     exported = 0

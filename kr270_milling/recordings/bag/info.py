@@ -165,7 +165,9 @@ def info_text(data: dict) -> str:
         rate = f"{topic['rate_hz']:10.1f} Hz" if topic["rate_hz"] else " " * 13
         lines.append(f"  {name:{width}}  {topic['count']:8d} {rate}  {topic['type']}{gaps}")
     for name, entries in data["metadata"].items():
-        lines += [f"  {name}: {key} = {value}" for key, value in entries.items()]
+        own = name == "kr270_milling.counts"  # of the writer: the lines above have the same, but for what was refused
+        shown = {key: value for key, value in entries.items() if value and (not own or '"refused"' in value)}
+        lines += [f"  {name}: {key} = {value}" for key, value in shown.items()]
     lines += [f"  attached: {a['name']} ({a['size_bytes']} bytes)" for a in data["attachments"]]
     # text in a file must not control the terminal
     return "\n".join(map(one_line, lines))

@@ -28,7 +28,7 @@ class Topic:
     name: str  #: relative, except for /diagnostics
     type: str  #: type of the message
     record: Callable | None  #: class of the record that the message carries; None: no record
-    publisher: str  #: node; empty: the user, or every node
+    publisher: str  #: node, or the command rsi in its recording; empty: the user, or every node
     subscribers: tuple[str, ...] = ()  #: nodes that use the message
     latched: bool = False  #: late subscribers receive the last message
     stamped: bool = False  #: the message has the time of the pass
@@ -68,9 +68,9 @@ TOPICS = (
     Topic("reference_path", "nav_msgs/msg/Path", None, COMPENSATOR, latched=True, note="for viewers"),
     Topic("recording", "std_msgs/msg/String", Text, RECORDER, latched=True,
           note="file that is being written; empty: none"),
-    Topic("correction", "geometry_msgs/msg/TwistStamped", TwistSample, "", stamped=True,
-          note="of the command `rsi`: displacement and rotation that the controller adds"),
-    Topic("rsi_status", "std_msgs/msg/String", Text, "", note="of the command `rsi`: one sentence"),
+    Topic("correction", "geometry_msgs/msg/TwistStamped", TwistSample, "rsi", stamped=True,
+          note="in recordings of the command `rsi`: displacement and rotation that the controller adds"),
+    Topic("rsi_status", "std_msgs/msg/String", Text, "rsi", note="in recordings of the command `rsi`: one sentence"),
     Topic("/diagnostics", "diagnostic_msgs/msg/DiagnosticArray", None, "",
           note="level, message and values of each node, five times a second"),
 )  # fmt: skip

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from kr270_milling.base.column import TextTable
+from kr270_milling.base.column import TextTable, counted
 from kr270_milling.base.errors import InputError, MillingError
 from kr270_milling.base.files import write_files
 from kr270_milling.base.parameter_file import find_file, read_tree
@@ -68,7 +68,7 @@ def run_keys(args) -> Answer:
     widths = [*(max(len(row[column]) for row in rows) for column in range(4)), 0]
     lines = ["  ".join(text.ljust(width) for text, width in zip(row, widths, strict=True)).rstrip() for row in rows]
     if hidden := len(entries) - len(shown):
-        lines.append(f"{hidden} keys for experts are not shown: kr270_milling keys --all")
+        lines.append(f"not shown: {counted(hidden, 'key')} for experts: kr270_milling keys --all")
     return Answer({"section": args.section, "keys": entries}, lines)
 
 

@@ -117,8 +117,12 @@ def _example(parser, example: str, note: str = "") -> None:
 def _add_init(parser) -> None:
     _example(parser, "init --gcode config/test_piece.nc --out my.yaml")
     add = parser.add_argument
-    add("--gcode", metavar="FILE", help="the program: G-code, Heidenhain or APT/CL")
-    add("--tool", metavar="T1", default="", help="of a program with several tools: a cell for this one alone")
+    add(
+        "--gcode",
+        metavar="FILE",
+        help="program: G-code, Heidenhain, APT/CL, KRL or points (default: a straight cut)",
+    )
+    add("--tool", metavar="T1", default="", help="tool of a program with several: a cell for this tool alone")
     add("--robot", default="kr270_2", help="arm file, also a shipped one by its name")
     add(
         "--out",
@@ -140,7 +144,7 @@ def _add_stiffness(parser) -> None:
     add("arm", metavar="ARM.yaml", help="arm or cell file; the flange is the tool point of a bare arm")
     add("--joints-deg", metavar="A1,...,A6", type=POSTURE, required=True, help="posture")
     add("--wrench", metavar="FX,FY,FZ,MX,MY,MZ", type=numbers(6), default=[0.0] * 6, help="[N, N m], default: none")
-    add("--frame", default="base", choices=("base", "tool"), help="of wrench and matrices")
+    add("--frame", default="base", choices=("base", "tool"), help="frame of wrench and matrices")
     add("--gravity", action="store_true", help="load the arm with its link weights too")
 
 
@@ -211,7 +215,7 @@ def _add_compensate(parser) -> None:
         action="store_true",
         help="also write the G-code of the cell with corrected coordinates, as G1 blocks",
     )
-    add("--seed", metavar="N", type=bounded(1, 999_999, int), default=1, help="of the verdict's robots")
+    add("--seed", metavar="N", type=bounded(1, 999_999, int), default=1, help="random seed of the simulated robots")
 
 
 def _add_demo(parser) -> None:
@@ -249,7 +253,7 @@ def _add_compliance(parser) -> None:
     add("measurements", metavar="MEASUREMENTS.csv", nargs="?", help="one load test a row")
     add("--arm", metavar="ARM.yaml", required=True, help="arm or cell file to start from")
     add("--cell", metavar="CELL.yaml", help="where the arm is to mill (default: --arm, if it is a cell file)")
-    add("--at", metavar="A1,...,A6", type=POSTURE, help="posture there [deg]")
+    add("--at", metavar="A1,...,A6", type=POSTURE, help="posture of milling [deg]")
     add("--no-gravity", action="store_true", help="leave the link weights out")
     add("--robust", action="store_true", help="take the weight from tests that contradict the others")
     add("--base", action="store_true", help="also fit or plan arm.base_compliance about x and y")
@@ -259,13 +263,13 @@ def _add_compliance(parser) -> None:
         "--plan", metavar="N", type=bounded(1, 1000, int), help="choose the best N load tests for the cell"
     )
     group.add_argument(
-        "--point", metavar="X,Y,Z", type=numbers(3, most=5e3), help="of load and reflector, flange frame [mm]"
+        "--point", metavar="X,Y,Z", type=numbers(3, most=5e3), help="place of load and reflector, flange frame [mm]"
     )
-    group.add_argument("--mass-kg", type=bounded(0, 5000), default=100.0, help="to hang; 0: none")
-    group.add_argument("--pull-n", type=bounded(0, 50000), default=800.0, help="of a horizontal rope; 0: none")
-    group.add_argument("--noise-um", type=bounded(0.001, 1e5), default=20.0, help="of a measured coordinate, 1 sigma")
+    group.add_argument("--mass-kg", type=bounded(0, 5000), default=100.0, help="mass to hang on the tool; 0: none")
+    group.add_argument("--pull-n", type=bounded(0, 50000), default=800.0, help="force of a horizontal rope; 0: none")
+    group.add_argument("--noise-um", type=bounded(0.001, 1e5), default=20.0, help="standard deviation of a coordinate")
     group.add_argument("--postures", type=bounded(1, 50_000, int), default=2000, help="candidates to choose from")
-    group.add_argument("--seed", type=bounded(0, 2**31, int), default=1, help="of the candidates")
+    group.add_argument("--seed", type=bounded(0, 2**31, int), default=1, help="random seed of the candidates")
     add("--out", metavar="DIR", help="write YAML to include and report, or table and KRL of the plan")
     _shared(parser, "--self-contained")
 
@@ -274,19 +278,24 @@ def _add_forces(parser) -> None:
     _example(parser, "identify forces CUTS.csv --cell config/test_piece.yaml --out identified")
     add = parser.add_argument
     add("cuts", metavar="CUTS.csv", help="one cut a row, with its forces or a recording of them")
-    add("--cell", metavar="CELL.yaml", help="its tool made the cuts")
-    add("--teeth", type=bounded(1, 100, int), help="of the tool, instead of the cell's")
-    add("--diameter-mm", type=bounded(0, 1000), help="of the tool, instead of the cell's")
-    add("--rotation", choices=("clockwise", "counterclockwise"), help="instead of the cell's")
+    add("--cell", metavar="CELL.yaml", help="cell whose tool made the cuts")
+    add("--teeth", type=bounded(1, 100, int), help="teeth of the tool, instead of the cell's")
+    add("--diameter-mm", type=bounded(0, 1000), help="diameter of the tool, instead of the cell's")
+    add("--rotation", choices=("clockwise", "counterclockwise"), help="sense of rotation, instead of the cell's")
     add("--law", metavar="NAME", default="linear_edge", help="for the YAML file, one of cutting.law")
     add("--robust", action="store_true", help="leave out cuts that contradict the others")
     group = parser.add_argument_group("recordings of a sensor")
-    group.add_argument("--topic", default="wrench", help="of type geometry_msgs/WrenchStamped")
-    group.add_argument("--spindle-speed-rpm", type=bounded(0, 1e6), help="instead of the cell's")
-    group.add_argument("--tare", metavar="START:STOP", type=stretch(0, 1e6), help="seconds of an idle stretch")
+    group.add_argument("--topic", default="wrench", help="topic of type geometry_msgs/WrenchStamped")
+    group.add_argument("--spindle-speed-rpm", type=bounded(0, 1e6), help="spindle speed, instead of the cell's")
+    group.add_argument(
+        "--tare",
+        metavar="START:STOP",
+        type=stretch(0, 1e6),
+        help="idle stretch, seconds",
+    )
     _shared(group, "--sensor-abc", "--sensor-on")
     group.add_argument(
-        "--sensor-mass-kg", type=bounded(0, 5000), default=0.0, help="that hangs on it, where there is no tare"
+        "--sensor-mass-kg", type=bounded(0, 5000), default=0.0, help="mass that hangs on the sensor, without --tare"
     )
     add("--out", metavar="DIR", help="write YAML to include and report")
     _shared(parser, "--self-contained")
@@ -296,15 +305,21 @@ def _add_damping(parser) -> None:
     _example(parser, "identify damping RECORDING --topic deflection --out identified")
     add = parser.add_argument
     add("recording", metavar="RECORDING", help="recording, UFF file, or CSV with time_s, x y z rx ry rz, force_n")
-    add("--topic", default="deflection", help="of a recording")
-    add("--from", metavar="S", type=bounded(0, 1e6), dest="start", help="seconds after the first sample")
-    add("--to", metavar="S", type=bounded(0, 1e6), dest="stop", help="seconds after the first sample")
-    add("--band", metavar="LOW:HIGH", type=stretch(0.01, 1e5), default=(2.0, 100.0), help="[Hz] (default: 2:100)")
-    add("--modes", metavar="N", type=bounded(1, 20, int), default=6, help="at most")
+    add("--topic", default="deflection", help="topic of a recording")
+    add("--from", metavar="S", type=bounded(0, 1e6), dest="start", help="start, seconds after the first sample")
+    add("--to", metavar="S", type=bounded(0, 1e6), dest="stop", help="end, seconds after the first sample")
+    add(
+        "--band",
+        metavar="LOW:HIGH",
+        type=stretch(0.01, 1e5),
+        default=(2.0, 100.0),
+        help="frequencies [Hz] (default: 2:100)",
+    )
+    add("--modes", metavar="N", type=bounded(1, 20, int), default=6, help="largest number of modes")
     add(
         "--quantity",
         choices=("displacement", "velocity", "acceleration"),
-        help="of the channels (default: that of a UFF file, else displacement)",
+        help="kind of the channels (default: that of a UFF file, else displacement)",
     )
     add(
         "--hammer",
@@ -349,7 +364,7 @@ def _add_backlash(parser) -> None:
 def _add_material(parser) -> None:
     _example(parser, "identify material Al7075-T6")
     add = parser.add_argument
-    add("name", metavar="NAME", nargs="?", help="of a material; without it all are listed")
+    add("name", metavar="NAME", nargs="?", help="name of a material; without a name all are listed")
     add("--row", type=bounded(1, 1000, int), default=1, help="which, where a material has several")
     add("--out", metavar="DIR", help="write YAML to include")
 
@@ -360,7 +375,7 @@ def _add_compare(parser) -> None:
     add(
         "recording",
         metavar="RECORDING",
-        help="of a force sensor, a tracker, or both; or WALL.csv: measured error of a wall",
+        help="recording of a force sensor, a tracker, or both; or WALL.csv: measured error of a wall",
     )
     _shared(parser, "cell", "--set")
     add(
@@ -369,7 +384,10 @@ def _add_compare(parser) -> None:
         help="the pass ran along this, as written by compensate (default: as recorded)",
     )
     add(
-        "--pass", metavar="N", type=bounded(1, 1000, int), help="of a recording with several passes (default: the last)"
+        "--pass",
+        metavar="N",
+        type=bounded(1, 1000, int),
+        help="pass of several in a recording (default: the last)",
     )
     _shared(parser, "--remap")
     add("--sensor-abc", metavar="A,B,C", type=numbers(3, most=720.0), help="force sensor in the workpiece [deg]")
@@ -379,7 +397,7 @@ def _add_compare(parser) -> None:
         metavar="N",
         type=bounded(2, 1000, int),
         default=16,
-        help="of the band of a wall, drawn from uncertainty",
+        help="simulated robots of the band of a wall",
     )
     add("--out", metavar="DIR", help="write a report")
     _shared(parser, "--self-contained")
@@ -408,7 +426,7 @@ def _add_report(parser) -> None:
         nargs="+",
         help="recordings, or directories that hold some; passes of one path are compared on the same scales",
     )
-    add("--namespace", metavar="NAME", help="of the robot, where a recording holds several")
+    add("--namespace", metavar="NAME", help="namespace of the robot, in a recording with several robots")
     _shared(parser, "--remap", "--cell")
     add(
         "--out",
@@ -440,7 +458,7 @@ def _add_replay(parser) -> None:
     group = parser.add_argument_group("playback (names as in ros2 bag play)")
     for names, keywords in PLAY:
         group.add_argument(*names, **keywords)
-    add("--ros-args", default=[], nargs=argparse.REMAINDER, help="remapping and namespace; the last")
+    add("--ros-args", default=[], nargs=argparse.REMAINDER, help="remapping and namespace; must be the last option")
 
 
 def _add_rsi(parser) -> None:
@@ -463,8 +481,13 @@ def _add_rsi(parser) -> None:
     add(
         "--rate-mm-per-s", type=bounded(0.0, 200.0, above=True), default=20.0, help="fastest change of the displacement"
     )
-    add("--ramp-s", type=bounded(0.0, 10.0, above=True), default=0.2, help="from no correction to the full one")
-    add("--reach-mm", type=bounded(0.0, 50.0, above=True), default=1.0, help="no correction farther from the path")
+    add("--ramp-s", type=bounded(0.0, 10.0, above=True), default=0.2, help="time from no correction to the full one")
+    add(
+        "--reach-mm",
+        type=bounded(0.0, 50.0, above=True),
+        default=1.0,
+        help="largest distance from the path",
+    )
     add(
         "--progress",
         default="rsol",
@@ -494,8 +517,13 @@ def _add_run(parser) -> None:
         type=bounded(1, 1000, int),
         help="passes in all, with the original one (default: as many as needed)",
     )
-    add("--method", choices=_methods(), action="append", help="how to compensate; may be given several times")
-    add("--out", metavar="DIR", default="out", help="for recordings, logs, cell.yaml")
+    add(
+        "--method",
+        choices=_methods(),
+        action="append",
+        help="may be given several times (default: the cell's)",
+    )
+    add("--out", metavar="DIR", default="out", help="directory of recordings, logs, cell.yaml")
     add("--processes", action="store_true", help="one process a node; else two nodes share one, which is quicker")
     add("--namespace", metavar="NAME", default="", help="ROS namespace of the four nodes")
 
@@ -520,7 +548,7 @@ def _add_check(parser) -> None:
     add = parser.add_argument
     _shared(parser, "cell", "--set")
     add("--reference", metavar="FILE.csv", help="check this trajectory, as written by compensate")
-    add("--motion", choices=MOTIONS, help="default: the cell's program.motion")
+    add("--motion", choices=MOTIONS, help="motions of the program that is checked (default: the cell's)")
     add(
         "-v",
         "--verbose",
@@ -556,16 +584,16 @@ def _add_map(parser) -> None:
     _example(parser, "map config/test_piece.yaml --x 1200:1800/13 --y=-300:300/7 --tool-turn=-90:90/7")
     add = parser.add_argument
     _shared(parser, "cell", "--set")
-    add("--x", metavar="LOW:HIGH/COUNT", type=PLACES, help="[mm] of the workpiece's origin on base_link")
-    add("--y", metavar="LOW:HIGH/COUNT", type=PLACES, help="[mm]")
-    add("--z", metavar="LOW:HIGH/COUNT", type=PLACES, help="[mm]")
+    add("--x", metavar="LOW:HIGH/COUNT", type=PLACES, help="x of the workpiece's origin on base_link [mm]")
+    add("--y", metavar="LOW:HIGH/COUNT", type=PLACES, help="y of this origin [mm]")
+    add("--z", metavar="LOW:HIGH/COUNT", type=PLACES, help="z of this origin [mm]")
     add(
         "--turn",
         metavar="LOW:HIGH/COUNT",
         type=PLACES,
-        help="[deg] of the workpiece about z of base_link, on top of the cell's",
+        help="turn of the workpiece about z of base_link, added to the cell's [deg]",
     )
-    add("--tool-turn", metavar="LOW:HIGH/COUNT", type=PLACES, help="[deg] of the tool about its axis")
+    add("--tool-turn", metavar="LOW:HIGH/COUNT", type=PLACES, help="turn of the tool about its axis [deg]")
     add("--out", metavar="DIR", default="map", help="where rows, cells and picture go")
     _shared(parser, "--self-contained", "--scheduler")
     add("--chunk", metavar="N", type=bounded(1, 100_000, int), default=500, help="placements a file")
@@ -600,7 +628,7 @@ def _add_sweep(parser) -> None:
     )
     add("--samples", metavar="N", type=bounded(1, 10_000_000, int), help="with --latin: that many rows")
     add("--latin", action="store_true", help="a Latin hypercube between the values instead of a grid")
-    add("--seed", metavar="N", type=bounded(0, 2**31, int), default=1, help="of --latin")
+    add("--seed", metavar="N", type=bounded(0, 2**31, int), default=1, help="random seed of --latin")
     add("--out", metavar="DIR", default="sweep", help="where the rows go")
     _shared(parser, "--self-contained", "--scheduler")
     add("--chunk", metavar="N", type=bounded(1, 100_000, int), default=0, help="rows a file (default: 1 to 8)")

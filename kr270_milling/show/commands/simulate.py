@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from kr270_milling.base.column import as_dict, columns_of, table_of
+from kr270_milling.base.column import as_dict, columns_of, counted, table_of
 from kr270_milling.base.errors import InputError
 from kr270_milling.base.files import staged
 from kr270_milling.base.parameter_file import find_file
@@ -109,8 +109,9 @@ def run_check(args) -> Answer:
     result |= {"may_be_run": may_be_run, **counts}
     shown = [line for cell, (_, _, lines) in results for line in _headed(cell, cells, lines)]
     stopped = [cell.path.tool for cell, (checked, _, _) in results if not checked.may_be_run]
-    verdict = f"must not be run: stops of {', '.join(stopped)}" if stopped else "may be run, after a test in T1 mode"
-    words = f"{len(cells)} tools, {counts['stops']} stops, {counts['warnings']} warnings: the program {verdict}"
+    verdict = f"must not be run: stops of {', '.join(stopped)}" if stopped else "may be run, after a test in mode T1"
+    several = f"{counted(counts['stops'], 'stop')}, {counted(counts['warnings'], 'warning')}"
+    words = f"{len(cells)} tools, {several}: the program {verdict}"
     answer = result | _by_tool(cells, [values for _, (_, values, _) in results])
     return Answer(answer, [*shown, "", words], code=int(not may_be_run))
 

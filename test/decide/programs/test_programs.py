@@ -101,7 +101,7 @@ def test_both_programs_are_parsed_back_across_all_their_modules(tmp_path, motion
         if motion == "LIN":
             speed = np.linalg.norm(np.diff(run.position, axis=0), axis=1) / np.diff(run.time)
             written = [speed for _, speed in robot.points[1:]]
-            np.testing.assert_allclose(written, speed, atol=0.5e-3 + 1e-9)  # rounded to 1 mm/s
+            np.testing.assert_allclose(written, speed, rtol=0.02)
     assert robots[0].rests == robots[1].rests
 
 
@@ -114,10 +114,15 @@ def test_a_tool_that_lies_level_is_recovered_although_its_angles_are_singular(tm
     assert_recovered(Robot(tmp_path, "MILLING_CMP"), run, knots)
 
 
-def test_speeds_are_those_along_the_curve_rounded_to_a_millimetre_a_second_and_never_zero(tmp_path):
-    slow = Trajectory.straight_line(np.zeros(3), [1.0, 0, 0], 1e-5, 1e-5, 0.05)
+@pytest.mark.parametrize("feed", [1e-5, 0.5e-3, 1.4e-3, 8.3e-3, 0.0333])  # [m/s]; 0.5 mm/s: 30 mm/min of a drill
+def test_a_slow_feed_is_written_to_two_percent(tmp_path, feed):
+    slow = Trajectory.straight_line(np.zeros(3), [1.0, 0, 0], feed, feed, 0.05)
     write(tmp_path, Program(tolerance=0.0), slow, slow)
-    assert {speed for _, speed in Robot(tmp_path, "MILLING_ORG").points[1:]} == {1e-3}
+    speeds = [speed for _, speed in Robot(tmp_path, "MILLING_ORG").points[1:]]
+    assert speeds == pytest.approx([feed] * len(speeds), rel=0.02)
+
+
+def test_speeds_are_those_along_the_curve(tmp_path):
     angle = np.linspace(0, np.pi, 41)
     circle = 0.05 * np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1)
     time_ns = np.arange(41) * 50_000_000

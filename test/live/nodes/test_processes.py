@@ -179,7 +179,7 @@ class Counting(ReportingNode):
             self.end("is not stopped")
 
 
-def test_node_that_fails_ends_before_its_next_callback_and_one_whose_runner_was_killed_ends_with_0(
+def test_node_that_fails_ends_before_its_next_callback_and_one_whose_runner_was_killed_warns_and_ends_with_0(
     ros_environment, monkeypatch, capfd
 ):
     nodes: list[Counting] = []
@@ -190,4 +190,6 @@ def test_node_that_fails_ends_before_its_next_callback_and_one_whose_runner_was_
     assert spin.run_node(make(True), []) == 1 and nodes[0].calls == 100
     assert capfd.readouterr().err.splitlines()[-1] == "counting: ZeroDivisionError in count: a mistake"
     monkeypatch.setenv(PARENT, "1")
-    assert spin.run_node(make(False), []) == 0 and nodes[1].calls < 5000
+    words = ["--ros-args", "-p", "use_sim_tim:=true"]
+    assert spin.run_node(make(False), words) == 0 and nodes[1].calls < 5000
+    assert "unknown parameters are ignored: use_sim_tim; did you mean use_sim_time?" in capfd.readouterr().err

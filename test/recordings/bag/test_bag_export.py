@@ -130,7 +130,7 @@ def test_a_topic_that_cannot_be_decoded_is_named_and_the_others_are_written(tmp_
 
 def test_an_unknown_topic_is_named(tmp_path):
     record(tmp_path / "a", 5)
-    with pytest.raises(RecordingError, match="has no topic /wrnch"):
+    with pytest.raises(RecordingError, match="has no topic /wrnch; did you mean /wrench"):
         exported(tmp_path / "a", tmp_path / "csv", "/wrnch")
 
 

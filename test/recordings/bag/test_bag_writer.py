@@ -57,7 +57,7 @@ def test_gaps_are_counted_per_topic_by_the_writer_and_by_a_reader(tmp_path):
         read = info(recording)
     for gaps in (counts, {name: topic["gaps"] for name, topic in read["topics"].items()}):
         assert [(gaps[n]["missing"], gaps[n]["gaps"]) for n in ("/holes", "/whole")] == [(5, 3), (0, 0)]
-    assert read["missing"] == 5 and "5 missing in 3 gaps" in info_text(read)
+    assert read["missing"] == 5 and "5 missing in 3 gaps" in info_text(read) and "counts" not in info_text(read)
 
 
 def test_metadata_yaml_is_what_rosbag2_of_jazzy_writes_and_the_file_has_configuration_and_version(tmp_path):
@@ -88,6 +88,7 @@ def test_a_refused_message_is_counted_and_the_recording_continues(tmp_path):
     with Recording(tmp_path / "a") as recording:
         assert [m.publish_time for m in recording.messages()] == [0, 5, 7]
         assert json.loads(recording.metadata()["kr270_milling.counts"]["/p"])["refused"] == 3
+        assert '/p = {"count": 3' in info_text(info(recording))
 
 
 KILLED = """

@@ -140,6 +140,7 @@ def test_every_parameter_has_a_key_with_a_meaning_that_ends_in_its_unit():
     assert len(rows) == len(keys_of())
     for key, row in rows.items():
         assert row["text"] and key.endswith(row["unit"]), key
+        assert row["text"].split()[0] not in ("of", "its"), key  # the meaning begins with its noun
 
 
 def test_keys_lists_those_that_init_writes_and_with_all_or_by_its_name_a_key_for_experts():
@@ -148,7 +149,8 @@ def test_keys_lists_those_that_init_writes_and_with_all_or_by_its_name_a_key_for
     listed, all_keys, chosen = (ask("keys", *words).out for words in ((), ("--all",), ("tool.helix_deg",)))
     assert {line.split()[0] for line in listed.splitlines()[1:-1]} == written
     assert {line.split()[0] for line in all_keys.splitlines()[1:]} == {row["key"] for row in keys_of()}
-    assert f"{len(keys_of()) - len(written)} keys for experts are not shown" in listed and "tool.helix_deg" in chosen
+    assert f"not shown: {len(keys_of()) - len(written)} keys for experts" in listed and "tool.helix_deg" in chosen
+    assert "not shown: 1 key for experts" in ask("keys", "mount").out
     assert {row["key"] for row in answered("keys")["keys"] if not row["expert"]} == written
 
 

@@ -433,8 +433,6 @@ class Interpreter(Machine):
         for name, value in values.items():
             setattr(offsets, name, value)
         self.set_shift(offsets.shift)
-        if self.shift is not None and self.cycle is not None:
-            self.cycle = None
 
     def _claimed(self, groups: dict, axes: dict) -> None:
         """Refuse letters that are a move on one control and something else on another."""
@@ -515,8 +513,9 @@ class Interpreter(Machine):
         word, mode = word_of("G", groups["home"]), groups.get("motion")
         if word == "G53" and (self.mode if mode is None else mode) in (0, 1) and self._in_machine(axes):
             return
-        groups.pop("motion", None)
         axes_home = [axis for axis in AXES if axis in axes]
+        feeds = word == "G53" and (self.mode if mode is None else mode) == 1
+        groups.pop("motion", None)
         if mode is not None and mode > 1:
             self.program.refuse(word, f"{word} occurs with an arc in one line")
         elif mode is not None:
@@ -530,9 +529,10 @@ class Interpreter(Machine):
             mode, self.mode = self.mode, 0
             self._move(between)
             self.mode = mode
-        text = " ".join([word, *(axes_home or (AXES if word in ("G28", "G30") else []))])
+        every = word in ("G28", "G30") and not axes_home and axes.keys().isdisjoint(FURTHER)
+        text = " ".join([word, *(AXES if every else axes_home)])
         self._read_over(text, axes, "XYZP" if word == "G30" else "XYZ")
-        self.home(text.split()[1:])
+        self.home(text.split()[1:], feeds)
 
     def _in_machine(self, axes: dict) -> bool:
         """Make places of the machine (G53) places of the program, where G10 stated that of the work offset."""
@@ -688,6 +688,11 @@ class Interpreter(Machine):
         kind, number = axes.get("L"), axes.get("P", 0.0)
         if kind in (1, 12) and "R" in axes:
             self.radii[number] = axes["R"] * self.unit
+        if kind in (11, 13) and axes.get("R"):
+            return "G10 states the wear of a tool, by which the path moves"
+        in_use = word_of("T", number) in self.program.length_offsets
+        if kind in (1, 10, 11) and self._began and in_use and not axes.keys().isdisjoint("ZR" if kind > 1 else "Z"):
+            return f"G10 changes the length of {word_of('T', number)}, which is in use"
         if kind not in (2, 20):
             return "" if kind in (1, 10, 11, 12, 13) or not self._began else "G10 of this kind"
         offsets = self.offsets

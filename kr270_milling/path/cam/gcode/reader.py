@@ -8,6 +8,7 @@ all at once. Without a unit word the unit is mm. A line with the sign of block s
 
 from __future__ import annotations
 
+import contextlib
 import re
 from collections.abc import Sequence
 from typing import Any
@@ -94,7 +95,7 @@ def gcode_path(
     interpreter = Interpreter(program, feed, changes_by_m6(lines), offsets)
     interpreter.kinematics = machine
     GcodeReader(program, interpreter).read(lines)
-    return program.finish(interpreter.unit)
+    return program.finish(interpreter.first_unit or interpreter.unit)
 
 
 def changes_by_m6(lines: list[str]) -> bool:
@@ -395,25 +396,35 @@ class GcodeReader:
 
     def _known(self, names: list[tuple[str, str]], further: bool) -> bool:
         """Return whether the words of several letters in a line let it be run; further: the line has other words."""
-        silent = []
+        silent, refusals = [], self.program.refusals
         for name, rest in names:
             reset = not rest and not further and name in ("TRANS", "ROT", "SCALE", "MIRROR")
+            fields = [text.strip() for text in rest.strip("() ").split(",")]
             if name in SILENT or reset or name in ("TRAORI", "TRAFOOF"):
-                silent.append(name)
+                silent += [name] * (name != "WORKPIECE" or not self._blank(fields))
             elif name == "CYCLE800" and not further:
-                reason = self.machine.swivel([text.strip() for text in rest.strip("() ").split(",")])
+                reason = self.machine.swivel(fields)
                 if reason:
                     self.program.refuse(name, reason, lost=True)
                 else:
                     silent.append(name)
             else:
                 self.program.refuse(name, advice=ADVICE.get(name, UNKNOWN), lost=True)
-        known = len(silent) == len(names)
+        known = self.program.refusals == refusals
         for name in silent if known else ():
             self.program.count(name)
             if name in ("TRAORI", "TRAFOOF"):
                 self.machine.follow_tip(name == "TRAORI")
         return known
+
+    def _blank(self, fields: list[str]) -> bool:
+        """Return whether WORKPIECE of Sinumerik states the blank, as a box with absolute coordinates (112) does."""
+        if fields[3:5] == ['"BOX"', "112"]:
+            with contextlib.suppress(ValueError):
+                top, bottom, _, *sides = map(float, fields[5:12])
+                corners = np.sort(np.reshape([*sides[:2], top, *sides[2:], bottom], (2, 3)), axis=0)
+                self.program.state_stock((self.machine.unit * corners).ravel().tolist())
+        return bool(self.program.stock)
 
     def _comments(self, code: str, comments: list[str]) -> None:
         title = re.fullmatch(r"\s*[O:]\s*[0-9]+\s*", code, re.I) is not None

@@ -37,7 +37,7 @@ SILENT_G: dict[float, str] = {
 #: M words that change no path -> the letters that belong to them: stops, coolant, clamps, gears, conveyors, doors,
 #: outputs, overrides (ISO 6983-1, Haas, LinuxCNC, Sinumerik)
 SILENT_M: dict[float, str] = {
-    **dict.fromkeys((0, 1, 7, 8, 9, 10, 11, 12, 18, *range(20, 29), *range(31, 46), 48, 49, *range(54, 59)), ""),
+    **dict.fromkeys((0, 1, 7, 8, 9, 10, 11, 12, 18, 20, *range(23, 29), *range(31, 46), 48, 49, *range(54, 59)), ""),
     **dict.fromkeys((60, *range(76, 90), *range(104, 120), 126, 127, 138, 139, 158, 159, 160, 161), ""),
     **dict.fromkeys((49, 50, 51, 52, 53, 59, 62, 63, 64, 65, 69, 109), "P"),
     **dict.fromkeys((67, 68), "EQ"),
@@ -118,7 +118,7 @@ ADVICE = {
         ENDLOOP CASE SETVN DEFINE UNTIL RETURN EXTERN ENDSUB ENDREPEAT ELSEIF BREAK CONTINUE THEN""",
         MACROS,
     ),
-    **_each("G51 G51.1 G44 G100 G101 DIAMON DIAM90", DATUM),
+    **_each("G51 G51.1 G44 G100 G101 M21 M22 DIAMON DIAM90", DATUM),  # M21, M22: a mirror on some controls
     **_each("TRANS ATRANS ROT AROT ROTS AROTS SCALE ASCALE MIRROR AMIRROR", DATUM),
     **_each("G6 G6.1 G6.3 G2.3 G3.3", CURVES),
     **_each("BSPLINE CSPLINE ASPLINE POLY CIP CT INVCW INVCCW RND RNDM CHF CHR ANG", CURVES),

@@ -23,7 +23,7 @@ def comparison_outcome(
     clocks = [
         f"the clock of the {name} is {1e3 * lag:.2f} ms behind that of the simulation"
         if abs(lag) < 86400.0  # [s]
-        else f"the clock of the {name} does not begin with the pass"
+        else f"the stamps of the {name} are those of another clock: they were shifted onto the simulation"
         for name, lag in lags.items()
     ]
     result = {

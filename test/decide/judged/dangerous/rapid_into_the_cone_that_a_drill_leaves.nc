@@ -1,0 +1,19 @@
+(expect: stop rapid in material)
+(set: cutting.detail=engagement)
+(T1 D=20 TWIST DRILL)
+(T2 D=10 FLAT END MILL 4 FLUTES)
+G21 G90 G17 G94
+T1 M6
+S1500 M3
+G43 H1
+G0 X20 Y20 Z20
+G81 Z-12 R2 F200
+G80
+T2 M6
+S8000 M3
+G43 H2
+G0 X20 Y20 Z20
+Z-11.5
+G1 X22 F1000
+G0 Z20
+M30

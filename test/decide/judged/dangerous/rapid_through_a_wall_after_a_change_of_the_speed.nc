@@ -1,0 +1,19 @@
+(expect: stop rapid in material)
+(set: cutting.detail=engagement)
+(T1 D=10 FLAT END MILL 4 FLUTES)
+G21 G90 G17 G94
+T1 M6
+S8000 M3
+G0 X0 Y0 Z20
+G0 Z2
+G1 Z-1 F200
+X30 F1000
+G0 Z2
+X0 Y30
+G1 Z-1 F200
+X30 F1000
+S6000
+G0 X30 Y0
+G1 X0
+G0 Z20
+M30
