@@ -112,11 +112,11 @@ class _Expansion(Interpreter):
             self._moves = [*self._moves[:count], hole, "G80", f"G0 {self._place(self.position)}"]
         return drilled
 
-    def home(self, axes: list[str]) -> None:
+    def home(self, axes: list[str], feeds: bool = False) -> None:
         self._moves.append(" ".join(["G91 G28", *(f"{axis}0" for axis in axes)]))
         self._moves.append("G90")
         written = [*self._moves]
-        super().home(axes)
+        super().home(axes, feeds)
         self._moves = written
 
 
@@ -203,14 +203,14 @@ class _Watch(Interpreter):
         """Keep the line of a G53."""
         return False
 
-    def home(self, axes: list[str]) -> None:
+    def home(self, axes: list[str], feeds: bool = False) -> None:
         """Refuse to leave sideways at cutting depth: the model retracts first, but a machine moves these axes."""
         depth = self.top - self.position[2]
         # 1 um: rounding of a height
         if not {"X", "Y"}.isdisjoint(axes) and depth > 1e-6 and not self.program.away:
             where = f"{1e3 * depth:.4g} mm below the top of the stock"
             self._refuse(f"the move home of {' '.join(axes)} leaves sideways {where}; retract along Z alone first")
-        super().home(axes)
+        super().home(axes, feeds)
 
     def _feed_to(self, start, ends: list, length: float, curvature: float = 0.0) -> None:
         if self.incremental:
