@@ -174,7 +174,7 @@ def _entry(path: Toolpath) -> str:
 def _unsaid(path: Toolpath) -> list[str]:
     """Warnings about a tool that mills, and whose diameter or shape the program does not state."""
     tool = path.program.current
-    if not np.any(~path.rapid & (path.plane_length > 0.0)):  # it drills
+    if not np.any(~path.rapid & ~path.drilling & (path.plane_length > 0.0)):  # it drills
         return []
     if not (tool and tool.diameter):
         name = path.program.tool or "the tool"

@@ -8,7 +8,7 @@ import math
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from kr270_milling.base.frames import TOOL0, Pose
+from kr270_milling.base.frames import TOOL0, Pose, tool_axis
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.models import arm_of, path_of
 from kr270_milling.decide.findings import Finding, violation
@@ -154,7 +154,7 @@ def _program(cell: Cell) -> list[Finding]:
     ]
     if path.drilling.any():
         block = int(np.argmax(path.drilling))
-        holes = len(np.unique(path.position[path.drilling, :2], axis=0))
+        holes = int(np.sum(path.drilling[1:] & ~path.drilling[:-1]))
         number = f"{holes} hole" + "s" * (holes > 1)
         findings.append(violation("drilling", float(holes), 0.0, block=block, number=number))
     if tool is None:
@@ -191,7 +191,10 @@ def _program(cell: Cell) -> list[Finding]:
 
 def _along_axis(cell: Cell, path: Toolpath) -> bool:
     """Return whether the tool makes no sideways feed move below the top of the stock."""
-    sideways = np.hypot(*np.diff(path.position[:, :2], axis=0).T) > 1e-6
+    move, axes = np.diff(path.position, axis=0), tool_axis(path.quaternion[1:])
+    along = np.einsum("ij,ij->i", move, axes)
+    # a program rounds the moves of a tilted tool
+    sideways = np.linalg.norm(move - along[:, None] * axes, axis=1) > np.maximum(1e-6, 1e-3 * np.abs(along))
     low = np.minimum(path.position[1:, 2], path.position[:-1, 2]) < cell.stock.max[2] - 1e-6
     return not (sideways & low & ~path.rapid[1:]).any()
 

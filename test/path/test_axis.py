@@ -277,6 +277,11 @@ def read_machine(tmp_path):
     return read
 
 
+def test_an_axis_that_is_at_its_place_already_turns_nothing(read_machine):
+    path = read_machine("G0 X0 Y0 Z0 A0\nG1 A0 F100\nG28 A0 C0\nX9\n")
+    assert 1e3 * path.position[-1] == pytest.approx([9, 0, 0])
+
+
 def test_the_axis_between_two_points_is_that_of_the_turning_axes_and_conversational_programs_agree(read_machine):
     path = read_machine("G43.4 H1\nG0 X0 Y0 Z0 C10 A20\nG1 X40 C70 A-15 F600\nG49\n")
     run = time_path(path, Timing(controller_step=0.01)).trajectory

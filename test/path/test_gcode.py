@@ -194,6 +194,15 @@ def test_a_change_of_the_tool_lifts_it_but_keeps_its_coordinates_and_a_preselect
     assert millimetres(read(text, tool="T1")) == [[0, 0, 20], [0, 0, 1], [5, 0, 1]]
     assert read(text, tool="T2").length == pytest.approx(2e-3 + 19e-3)
     assert millimetres(read(text, tool="T1_2")) == [[1, 0, 1], [2, 0, 1]]
+
+
+def test_a_further_run_at_another_speed_begins_where_the_tool_is_also_behind_the_rapid_move(read):
+    text = "T1 M6\nT2\n(6MM FLAT END MILL)\nS60 M3\nG0 X0 Y0 Z0\nG1 X1 F100\nG0 Z5\n{}\nG0 X1 Y3\n{}\nG1 Y4\nM30\n"
+    first, second = text.format("S90", ""), text.format("", "S90")
+    assert millimetres(read(first, tool="T1_2")) == [[1, 0, 5], [1, 3, 5], [1, 4, 5]]
+    assert millimetres(read(second, tool="T1_2")) == [[1, 3, 5], [1, 4, 5]]
+    assert millimetres(read(second, tool="T1"))[-1] == [1, 3, 5]
+    assert read(second, tool="T1").program.current.label == "T1 (flat end mill, 6 mm)"
     program = read("T1 M6\nT2\n" + HIGH + "G1 Z-1 F100\nM30\n").program
     assert [tool.name for tool in program.tools] == ["T1"]
 

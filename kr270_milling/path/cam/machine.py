@@ -182,8 +182,8 @@ class Machine:
                 absolute = self.absolute.get(letter, not self.incremental)
                 value = axes.pop(letter) + (0.0 if absolute else new[k])
                 new[k] = 0.0 if home else value
-                self.turned_from = self.angles
-        self.angles = new
+        if new != self.angles:
+            self.turned_from, self.angles = self.angles, new
         if self.turned_from is not None and self.side:
             self.program.refuse("G41", "the tool turns while G41 or G42 is active", "write G40 before it", lost=True)
 

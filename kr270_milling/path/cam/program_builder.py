@@ -61,6 +61,7 @@ class ProgramBuilder(PathBuilder):
         self.refusals = 0  #: with those that follow from earlier ones
         self._runs: dict[str, tuple[str, int]] = {}  #: run -> tool, line of its begin
         self._before: tuple = (math.nan,)  #: end of the last move of a run that is not wanted
+        self._rapid = False  #: the last move of any run was a rapid one
         self._cuts: Counter[str] = Counter()  #: run -> cutting blocks
         self._speeds: dict[str, float] = {}  #: run -> first spindle speed of its cuts [rad/s]
         self._frames: dict[tuple[str, ...], int] = {}  #: (run, its frame) while cutting -> first line
@@ -71,12 +72,11 @@ class ProgramBuilder(PathBuilder):
 
     def rapid(self, end: tuple) -> None:
         """Go to a point; nothing is recorded until X, Y and Z are known."""
-        if self.tool and self.spindle_speed and _differ(self.spindle_speed, self._speeds.get(self.run)):
-            before, (*_, height) = self.active, self._before
-            self._begin_run()
-            if self.active > before and not self.away and math.isfinite(height):  # the tool stays where it is
-                self.move(self._before, 0.0, True, self.line)
-        self.moved = True
+        (*_, height), before = self._before, self.active
+        # the tool stays where it is
+        if self._new_speed() and self.active > before and not self.away and math.isfinite(height):
+            self.move(self._before, 0.0, True, self.line)
+        self.moved = self._rapid = True
         self._before_change = len(self.comments)
         if not self.active or any(map(math.isnan, end)):
             self._before, self.away = end, self.away and self.active
@@ -100,7 +100,9 @@ class ProgramBuilder(PathBuilder):
 
     def cut(self, start: tuple, ends: list, feed: float, curvature: float = 0.0, turned: Sequence = ()) -> None:
         """Feed through points, from a start that is known; turned: orientations at the points, empty: as before."""
-        self.named = False
+        if self._rapid:
+            self._new_speed()
+        self.named = self._rapid = False
         self._before_change = len(self.comments)
         self._cuts[self.run] += 1
         if self.spindle_speed:
@@ -117,8 +119,8 @@ class ProgramBuilder(PathBuilder):
         self.moves(ends[len(turned) or 1 :], itertools.repeat(self.line), feed, curvature)
 
     def cuts_from(self, place: list[float]) -> bool:
-        """Return whether the tool whose moves are wanted is at a place."""
-        return self.active and not self.away and self.last == tuple(place)
+        """Return whether the tool whose moves are wanted cut up to a place."""
+        return self.active and not self._rapid and not self.away and self.last == tuple(place)
 
     def cut_row(self, ends, lines, feed: float, blocks: int, curvature: np.ndarray | None = None) -> None:
         """Feed through points, each with its line, from the place of the tool, as ``cut`` does for as many blocks.
@@ -151,6 +153,13 @@ class ProgramBuilder(PathBuilder):
         self._begin_run()
         if not self.named:
             self.name_feature(tool)
+
+    def _new_speed(self) -> bool:
+        """Begin a further run where the spindle has another speed than at the cuts of this one; return whether."""
+        if not (self.tool and self.spindle_speed and _differ(self.spindle_speed, self._speeds.get(self.run))):
+            return False
+        self._begin_run()
+        return True
 
     def _begin_run(self) -> None:
         """Begin a run of the tool: its first one, that which did not cut yet, or a further one."""

@@ -6,7 +6,7 @@ as deep as the surface of the map is above this point, times the cosine of the s
 it reaches from the lower end of the body up to the surface, or to the place where the vertical line leaves the body.
 
 Cells at the rim of a cut keep part of their height. Therefore a node counts only where it is further within the shadow
-of the body than half a cell.
+of the body than half a cell, and its material further within the side of the body.
 """
 
 from __future__ import annotations
@@ -118,6 +118,10 @@ def _contact(pool, table, highest, grid, body, poses, inset, least, hollow, dept
                     u, v = x * ux + y * uy, y * ux - x * uy
                     z, nu, nv, nz = touch(body, u, v, s, c)
                     if z == MISSED or (surface - z) * -nz <= least[m] or inside(body, u, v, s, c)[0] <= inset[m]:
+                        continue
+                    beside, to_beside = u * c - z * s, u * c - surface * s  # the axis, up the vertical line
+                    nearest = min(abs(beside), abs(to_beside)) if beside * to_beside > 0.0 else 0.0
+                    if r - math.sqrt(nearest * nearest + v * v) <= inset[m]:  # at the rim of the end
                         continue
                     depth[m, 0] = max(depth[m, 0], (surface - z) * -nz)
                     if s > FLAT:

@@ -147,7 +147,7 @@ G5.1 X1.5 Y1 I.5 J0
 G0 Z.5
 o10 endsub
 G43.1 Z-2
-G0 X0 Y0 Z1
+G54 G0 X0 Y0 Z1
 o10 call [.1]
 G52 X2 Z.1
 o10 call [.2]
@@ -192,6 +192,7 @@ def test_programs_of_six_posts_and_one_with_macros_take_any_end_points(tmp_path,
     moved = ~read.rapid & ~read.drilling
     assert np.abs(read.position[moved] - wanted[cut]).max() < 0.13e-6
     lines = iter(copy.read_text().splitlines())
+    assert not re.search(r"^G54 X", copy.read_text(), re.M)  # its move has G0
     assert all(line in lines for k, line in enumerate(source.lines, 1) if k not in ends and line)
     assert source.written_out == macro and read.program.tools[0].diameter == path.program.tools[0].diameter
     assert [read.features[k] for k in read.feature[moved]] == [path.features[k] for k in path.feature[cut]]

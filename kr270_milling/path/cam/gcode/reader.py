@@ -430,7 +430,8 @@ class GcodeReader:
         title = re.fullmatch(r"\s*[O:]\s*[0-9]+\s*", code, re.I) is not None
         if len(self.program.comments) < 2000:
             match = re.search(r"T\s*0*([0-9]+)", code, re.I)
-            tool = f"T{match.group(1)}" if match else self.machine.next_tool
+            in_spindle = self.program.tool if not self.program.moved else ""  # another one may be chosen already
+            tool = f"T{match.group(1)}" if match else in_spindle or self.machine.next_tool
             self.program.comments += [(comment, tool, match is not None) for comment in comments]
         if title and not self.program.title:
             self.program.title = comments[0]

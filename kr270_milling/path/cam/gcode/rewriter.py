@@ -72,8 +72,9 @@ class _Expansion(Interpreter):
             return value not in ENDING and value not in DROPPED
         if letter in "ST":
             return 4 not in codes or letter == "T"
-        if placing:
-            return letter in "LPXYZR"
+        if placing:  # the axes of a line with G54 are those of a move
+            stated = {G_GROUPS.get(code) for code in codes} & (PLACING - {"offset"})
+            return letter in ("LPXYZR" if stated else "P")
         return (
             (letter == "H" and 43 in codes)
             or (letter == "Z" and 43.1 in codes)
