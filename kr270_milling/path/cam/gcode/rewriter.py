@@ -10,6 +10,7 @@ Cycles along z stay cycles; comments, tools, speeds and words of M stay with the
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import math
 import re
 from collections.abc import Collection
@@ -31,6 +32,8 @@ from kr270_milling.path.toolpath import Toolpath
 PLACING = frozenset(("offset", "data", "preset"))
 ENDING = frozenset((0, 1, 2, 5, 9, 30, 60))  #: M words after the move of their line
 DROPPED = frozenset((17, 97, 98, 99))
+#: start sign, name of the program with its comment, or blank line: controls want these first
+NAME = re.compile(r"\s*(?:%.*|[O:]\s*[0-9]+\s*(?:\([^)]*\)\s*)?)?", re.I)
 
 
 class _Expansion(Interpreter):
@@ -121,12 +124,15 @@ class _Expansion(Interpreter):
 
 
 class _Reader(GcodeReader):
-    """Keeps the comments of the lines."""
+    """Keeps the comments of the lines after the start sign and the name of the program."""
 
     machine: _Expansion
+    named = 0  #: lines of start sign and name
 
     def _comments(self, code: str, comments: list[str]) -> None:
         super()._comments(code, comments)
+        if self.program.line <= self.named:
+            return
         texts = [f"({comment.replace('(', '[').replace(')', ']')})" for comment in comments if comment]
         if texts and re.fullmatch(r"\s*O\s*[0-9]+\s*", code, re.I):
             texts[0] = f"{code.strip()} {texts[0]}"
@@ -141,12 +147,15 @@ def expanded(path, lines: list[str], feed: float = 0.0) -> list[str] | None:
     program = ProgramBuilder(path, "")
     machine = _Expansion(program, feed, changes_by_m6(lines), ())
     reader = _Reader(program, machine)
+    named = list(itertools.takewhile(NAME.fullmatch, lines))
+    reader.named = len(named)
     reader.read(lines)
     if not (reader.computed or machine.needed):
         return None
     if program.refusals:
         raise InputError(path, "a program with words that cannot be run cannot be written out", program.line)
-    return [*machine.lines, ""]
+    ends = ["%"] * any("%" in line for line in named)
+    return [*filter(str.strip, named), *machine.lines, *ends, ""]
 
 
 def _number(length: float) -> str:
