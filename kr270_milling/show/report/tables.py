@@ -215,8 +215,8 @@ def details(passes: Sequence[ScoredPass]) -> TextTable:
     )
     note = (
         "In each exchange period the arm predicts the pose of the tool, the cut answers with the mean wrench on the "
-        "way there, and the arm corrects its pose with that wrench. The chip geometry was wrong by this correction of the "
-        "pose."
+        "way there, and the arm corrects its pose with that wrench. The chip geometry was wrong by this correction "
+        "of the pose."
     )
     return TextTable("Forces and exchange", columns, tuple(rows), note)
 
