@@ -121,7 +121,7 @@ def test_what_is_missing_or_cannot_be_meant_is_refused_in_one_sentence(words, re
 def test_too_few_load_tests_are_refused_with_the_name_of_the_file(tmp_path):
     head, first, *_ = (line for line in find_file("load_tests.csv").read_text().splitlines() if line[0] != "#")
     (tmp_path / "one.csv").write_text(f"{head}\n{first}\n")
-    words = ("identify", "compliance", tmp_path / "one.csv", "--arm", "kr270_2.yaml")
+    words = ("identify", "compliance", str(tmp_path / "one.csv"), "--arm", "kr270_2.yaml")
     assert "one.csv: 3 measured numbers for 3 unknown ones" in refused(*words)
 
 
