@@ -361,7 +361,7 @@ def test_the_walls_of_the_slot_are_off_by_the_static_deviation_of_table_2(tmp_pa
 @pytest.mark.parametrize(("header", "rows", "reason"), [
     ("x_mm,y_mm,error_um", ["40,10,-58", "40,20,-58", "50,10,-58"], r"line 3.*the place 40, 20 mm is farther than 2"),
     ("x_mm,y_mm,error_um", ["40,10,-58000"] * 3, "line 2.*error_um must be in um and at most 5000"),
-    ("x_mm,y_mm,error_um", ["40,10,-58"], "has 1 places, but a comparison needs at least 3"),
+    ("x_mm,y_mm,error_um", ["40,10,-58"], "has 1 place, but a comparison needs at least 3"),
 ])  # fmt: skip
 def test_a_wall_that_cannot_be_compared_is_refused_with_its_line(header, rows, reason, tmp_path):
     quick = [*settings("stock.grid_step_um=40", "exchange.micro_step_deg=3"), "--plants", "4"]
