@@ -32,8 +32,6 @@ from kr270_milling.path.toolpath import Toolpath
 PLACING = frozenset(("offset", "data", "preset"))
 ENDING = frozenset((0, 1, 2, 5, 9, 30, 60))  #: M words after the move of their line
 DROPPED = frozenset((17, 97, 98, 99))
-#: start sign, name of the program with its comment, or blank line: controls want these first
-NAME = re.compile(r"\s*(?:%.*|[O:]\s*[0-9]+\s*(?:\([^)]*\)\s*)?)?", re.I)
 
 
 class _Expansion(Interpreter):
@@ -147,7 +145,9 @@ def expanded(path, lines: list[str], feed: float = 0.0) -> list[str] | None:
     program = ProgramBuilder(path, "")
     machine = _Expansion(program, feed, changes_by_m6(lines), ())
     reader = _Reader(program, machine)
-    named = list(itertools.takewhile(NAME.fullmatch, lines))
+    # start sign, name of the program with its comment, blank lines: controls want these first
+    name = re.compile(r"\s*(?:%.*|[O:]\s*[0-9]+\s*(?:\([^)]*\)\s*)?)?", re.I)
+    named = list(itertools.takewhile(name.fullmatch, lines))
     reader.named = len(named)
     reader.read(lines)
     if not (reader.computed or machine.needed):
