@@ -166,18 +166,24 @@ def modes_of(cell: Cell, arm: bool = True, model: ModalModel | None = None) -> M
     )
 
 
+def refuse_without_limit(path: CellPath) -> None:
+    """Raise ParameterError for an end that is not flat, a tilted tool and a variable pitch."""
+    tool = path.tool
+    if not tool.has_flat_end:
+        raise ParameterError("tool.type", tool.type, "flat: the limits of the depth of cut hold for flat ends")
+    if path.tilts:
+        raise ParameterError("path.file", path.path.file, "upright: the limits do not hold for a tilted tool")
+    if not has_uniform_pitch(tool):
+        raise ParameterError("tool.pitch_deg", np.degrees(tool.pitch).tolist(), "uniform: the limit supposes one delay")
+
+
 def feature_limits(cell: Cell, arm: bool = True) -> list[FeatureLimit]:
     """The engagement of each feature with the largest depth against its limit, in the order of the path.
 
-    arm: False leaves out the modes of the arm. Raises ParameterError for a variable pitch.
+    arm: False leaves out the modes of the arm. Raises ParameterError where no limit holds.
     """
     tool = cell.tool
-    if not tool.has_flat_end:
-        raise ParameterError("tool.type", tool.type, "flat: the limits of the depth of cut hold for flat ends")
-    if path_of(cell).tilts:
-        raise ParameterError("path.file", cell.path.file, "upright: the limits do not hold for a tilted tool")
-    if not has_uniform_pitch(tool):
-        raise ParameterError("tool.pitch_deg", np.degrees(tool.pitch).tolist(), "uniform: the limit supposes one delay")
+    refuse_without_limit(path_of(cell))
     arcs = arcs_along(path_of(cell), cell.earlier)
     groups = _groups(arcs, FEWEST_TEETH * path_of(cell).feed_rate * 2.0 * np.pi / (tool.spindle_speed * tool.teeth))
     limits: list[FeatureLimit] = []

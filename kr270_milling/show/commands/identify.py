@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from kr270_milling.base.errors import InputError, RecordingError
+from kr270_milling.base.errors import InputError, ModelError, RecordingError
 from kr270_milling.base.files import staged
 from kr270_milling.base.parameter_file import find_file, read_tree
 from kr270_milling.base.record import build
@@ -77,8 +77,11 @@ def identify_compliance(args) -> Answer:
     measured = read_measurements(find_file(args.measurements), arm, mount)
     compensator = tuple(name.strip() for name in args.compensator.split(",") if name.strip())
     problem = Problem(arm, mount, measured, not args.no_gravity, compensator, args.base)
-    refuse_units(problem, args.measurements)
-    identified = fit_compliance(problem, args.robust)
+    try:
+        refuse_units(problem, args.measurements)
+        identified = fit_compliance(problem, args.robust)
+    except ModelError as error:
+        raise InputError(args.measurements, str(error)) from None
     return _answer(args, compliance_outcome(identified, pose, Path(args.measurements).name))
 
 

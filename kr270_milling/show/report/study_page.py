@@ -185,7 +185,7 @@ def gain_text(summary: Summary, present: dict) -> str:
 def _place(row: dict) -> str:
     keys = {"part": "turn_deg", "tool": "tool_turn_deg"}
     turns = "".join(f", {name} turned by {row[key]:.4g} deg" for name, key in keys.items() if row[key])
-    return f"x {row['x_mm']:.0f}, y {row['y_mm']:.0f}, z {row['z_mm']:.0f} mm{turns}"
+    return f"x {row['x_mm']:.0f}, y {row['y_mm']:.0f}, z {row['z_mm']:.0f} mm, branch {row['branch']}{turns}"
 
 
 def _gain(row: dict, present: dict) -> float:

@@ -207,7 +207,7 @@ def details(passes: Sequence[ScoredPass]) -> TextTable:
     columns = (
         "pass",
         "mean force x / y / z, last quarter [N]",
-        "largest shift of the reference [µm]",
+        "largest correction [µm]",
         "removed volume [mm³]",
         "largest correction of a predicted pose [nm]",
         "micro-steps",
@@ -215,8 +215,8 @@ def details(passes: Sequence[ScoredPass]) -> TextTable:
     )
     note = (
         "In each exchange period the arm predicts the pose of the tool, the cut answers with the mean wrench on the "
-        "way there, and the arm corrects its pose with that wrench. The correction is what the chip geometry was wrong "
-        "by."
+        "way there, and the arm corrects its pose with that wrench. The chip geometry was wrong by this correction "
+        "of the pose."
     )
     return TextTable("Forces and exchange", columns, tuple(rows), note)
 
@@ -235,7 +235,7 @@ TONES = {YES: "good", CAUTION: "caution", NO: "bad"}  #: colour of the tile
 def cut_text(path: CellPath) -> str:
     """Path and tool of a cell."""
     tool, speed = path.tool, path.tool.spindle_speed * 30 / np.pi
-    cutter = f"a {tool.diameter * 1e3:g} mm cutter with {tool.teeth} teeth at {speed:.0f} rpm"
+    cutter = f"a cutter of {tool.diameter * 1e3:g} mm with {tool.teeth} teeth at {speed:.0f} rpm"
     return f"{path.description} with {cutter}"
 
 

@@ -89,7 +89,7 @@ def read_measurements(path, arm: Arm, mount: Mount) -> Measurements:
     reflector = _point(table, REFLECTOR, mount.xyz)
     shift = 1e-3 * table.numbers(SHIFT)
     farthest = 0.2  # [m] that a load test moves a reflector at most; more is a wrong unit
-    table.refuse(np.abs(shift).max(1) > farthest, f"a load moved the arm by more than {farthest} m")
+    table.refuse(np.abs(shift).max(1) > farthest, f"a load moved the arm by more than {1e3 * farthest:g} mm")
     tilt = 1e-3 * table.numbers(TILT, np.nan)
     sigma, known = _sigma(table)
     return Measurements(q, wrench, application, reflector, np.hstack([shift, tilt]), sigma, known)

@@ -23,7 +23,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from kr270_milling.base.column import column
+from kr270_milling.base.column import column, counted
 from kr270_milling.base.errors import InputError
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.plant import coarser, numbers_of, perturbed, robot_of
@@ -84,7 +84,9 @@ def read_part(path) -> WallPlaces:
     """Read the places of a measured part; raises InputError."""
     places = read_wall(path)
     if not FEWEST <= len(places.error) <= MOST:
-        raise InputError(path, f"has {len(places.error)} places, but a measured part needs {FEWEST} to {MOST}")
+        raise InputError(
+            path, f"has {counted(len(places.error), 'place')}, but a measured part needs {FEWEST} to {MOST}"
+        )
     return places
 
 

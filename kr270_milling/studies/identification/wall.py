@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
+from kr270_milling.base.column import counted
 from kr270_milling.base.errors import InputError, MillingError
 from kr270_milling.base.table import read_table
 from kr270_milling.cell.cell import Cell
@@ -68,7 +69,7 @@ def read_wall(path) -> WallPlaces:
     surfaces = ("wall", "floor")
     table.refuse(~np.isin(surface, ("", *surfaces)), f"surface must be one of {', '.join(surfaces)}; empty: wall")
     if len(table) < FEWEST:
-        raise InputError(path, f"has {len(table)} places, but a comparison needs at least {FEWEST}")
+        raise InputError(path, f"has {counted(len(table), 'place')}, but a comparison needs at least {FEWEST}")
     place, height = 1e-3 * table.numbers(PLACE), 1e-3 * table.number("z_mm", np.nan)
     return WallPlaces(table.path, table.lines, place, height, error, sigma, surface == "floor")
 

@@ -6,13 +6,11 @@ import math
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 
-import numpy as np
-
-from kr270_milling.base.errors import ParameterError
 from kr270_milling.cell.paths import CellPath
 from kr270_milling.cell.sections import PathSection
+from kr270_milling.decide.stability import refuse_without_limit
 from kr270_milling.physics.cutting import Cutting
-from kr270_milling.physics.motion.stability import Lobe, Modes, has_uniform_pitch, stability_limit
+from kr270_milling.physics.motion.stability import Lobe, Modes, stability_limit
 from kr270_milling.studies.identification.forces import engagement_angles
 
 
@@ -25,11 +23,9 @@ def lobes(
 ) -> list[Lobe]:
     """Limit depth at each spindle speed [rad/s], for the immersion and the feed per tooth of a path.
 
-    modes: in axes with x along the feed.
+    modes: in axes with x along the feed. Raises ParameterError where no limit holds.
     """
-    tool = path.tool
-    if not has_uniform_pitch(tool):
-        raise ParameterError("tool.pitch_deg", np.degrees(tool.pitch).tolist(), "uniform: the limit supposes one delay")
+    refuse_without_limit(path)
     results = []
     with ThreadPoolExecutor(max_workers=2) as pool:
         for lobe in pool.map(lambda speed: _lobe_at(path, cutting, modes, speed), speeds):

@@ -12,7 +12,7 @@ from kr270_milling.cell.jobs import simulate
 from kr270_milling.cell.models import path_of
 from kr270_milling.decide.programs.gcode import check_gcode, write_gcode
 from kr270_milling.path.cam.gcode.reader import read_gcode
-from kr270_milling.path.cam.gcode.rewriter import read_source
+from kr270_milling.path.cam.gcode.rewriter import GcodeSource, expanded, read_source
 
 #: of six posts; linuxcnc.ngc has incremental moves, which are refused
 PROGRAMS = Path(__file__).parents[2] / "path" / "programs"
@@ -199,6 +199,13 @@ def test_programs_of_six_posts_and_one_with_macros_take_any_end_points(tmp_path,
     np.testing.assert_allclose(read.feed[moved], path.feed[cut], rtol=1e-12)
     np.testing.assert_array_equal(read.spindle_speed[moved], path.spindle_speed[cut])
     assert [tool.label for tool in read.program.tools] == [tool.label for tool in path.program.tools]
+
+
+def test_start_sign_and_name_stay_the_first_lines_of_a_program_that_is_written_out():
+    program = ["%", "O1042(PLATE)", "(FOR K1)", "#1=12", "G21 G90 S8000 M3", "G0 X0 Y0 Z2", "G1 X#1 F4000", "M30", "%"]
+    lines = expanded("part.nc", program)
+    assert lines[:4] == ["%", "O1042(PLATE)", "G21 G90 G17 G94 G40 G80", "(FOR K1)"] and lines[-3:] == ["M30", "%", ""]
+    assert GcodeSource(tuple(lines), {}).head == 2
 
 
 MOVE = "G21 G90 S8000 M3\nG0 X-14 Y0 Z2\nG0 Z-0.5\n"

@@ -118,6 +118,13 @@ def test_what_is_missing_or_cannot_be_meant_is_refused_in_one_sentence(words, re
     assert reason in refused("identify", *words.split())
 
 
+def test_too_few_load_tests_are_refused_with_the_name_of_the_file(tmp_path):
+    head, first, *_ = (line for line in find_file("load_tests.csv").read_text().splitlines() if line[0] != "#")
+    (tmp_path / "one.csv").write_text(f"{head}\n{first}\n")
+    words = ("identify", "compliance", str(tmp_path / "one.csv"), "--arm", "kr270_2.yaml")
+    assert "one.csv: 3 measured numbers for 3 unknown ones" in refused(*words)
+
+
 # --- Errors in measurements are noticed: each row runs the public command and states the sentence and exit code ---
 ANGLES = tuple(f"a{j}_deg" for j in range(1, 7))
 SHIFTS, FORCES = ("dx_mm", "dy_mm", "dz_mm"), ("fx_n", "fy_n", "fz_n")
@@ -354,7 +361,7 @@ def test_the_walls_of_the_slot_are_off_by_the_static_deviation_of_table_2(tmp_pa
 @pytest.mark.parametrize(("header", "rows", "reason"), [
     ("x_mm,y_mm,error_um", ["40,10,-58", "40,20,-58", "50,10,-58"], r"line 3.*the place 40, 20 mm is farther than 2"),
     ("x_mm,y_mm,error_um", ["40,10,-58000"] * 3, "line 2.*error_um must be in um and at most 5000"),
-    ("x_mm,y_mm,error_um", ["40,10,-58"], "has 1 places, but a comparison needs at least 3"),
+    ("x_mm,y_mm,error_um", ["40,10,-58"], "has 1 place, but a comparison needs at least 3"),
 ])  # fmt: skip
 def test_a_wall_that_cannot_be_compared_is_refused_with_its_line(header, rows, reason, tmp_path):
     quick = [*settings("stock.grid_step_um=40", "exchange.micro_step_deg=3"), "--plants", "4"]

@@ -138,3 +138,6 @@ def test_what_cannot_be_meant_is_refused():
     with pytest.raises(ConfigError, match="direction"):
         read_cell(find_file("paper.yaml"), [BENCHMARK[-1].replace("[1, 0, 0]", "[2, 0, 0]")])
     assert refused("stability", "paper.yaml", "--speeds", "1:2")
+    for along in ((), ("--along",)):
+        ball = refused("stability", "test_piece.yaml", "--set", "tool.type=ball", *along)
+        assert "tool.type is 'ball', but must be flat" in ball

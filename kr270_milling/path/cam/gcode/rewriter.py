@@ -10,6 +10,7 @@ Cycles along z stay cycles; comments, tools, speeds and words of M stay with the
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import math
 import re
 from collections.abc import Collection
@@ -122,12 +123,15 @@ class _Expansion(Interpreter):
 
 
 class _Reader(GcodeReader):
-    """Keeps the comments of the lines."""
+    """Keeps the comments of the lines after the start sign and the name of the program."""
 
     machine: _Expansion
+    named = 0  #: lines of start sign and name
 
     def _comments(self, code: str, comments: list[str]) -> None:
         super()._comments(code, comments)
+        if self.program.line <= self.named:
+            return
         texts = [f"({comment.replace('(', '[').replace(')', ']')})" for comment in comments if comment]
         if texts and re.fullmatch(r"\s*O\s*[0-9]+\s*", code, re.I):
             texts[0] = f"{code.strip()} {texts[0]}"
@@ -142,12 +146,17 @@ def expanded(path, lines: list[str], feed: float = 0.0) -> list[str] | None:
     program = ProgramBuilder(path, "")
     machine = _Expansion(program, feed, changes_by_m6(lines), ())
     reader = _Reader(program, machine)
+    # start sign, name of the program with its comment, blank lines: controls want these first
+    name = re.compile(r"\s*(?:%.*|[O:]\s*[0-9]+\s*(?:\([^)]*\)\s*)?)?", re.I)
+    named = list(itertools.takewhile(name.fullmatch, lines))
+    reader.named = len(named)
     reader.read(lines)
     if not (reader.computed or machine.needed):
         return None
     if program.refusals:
         raise InputError(path, "a program with words that cannot be run cannot be written out", program.line)
-    return [*machine.lines, ""]
+    ends = ["%"] * any("%" in line for line in named)
+    return [*filter(str.strip, named), *machine.lines, *ends, ""]
 
 
 def _number(length: float) -> str:

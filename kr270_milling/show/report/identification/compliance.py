@@ -25,7 +25,8 @@ BASE_Z = "not identified: base z: it turns the arm as joint 1 does, whose number
 def compliance_outcome(fit: Fit, pose: Measurements | None, source: str) -> Outcome:
     """Return the result of ``identify compliance``; source: name of the file with the load tests."""
     problem, doubts = fit.problem, compliance_doubts(fit)
-    title = f"Joint compliances of {problem.arm.name} from {len(problem.measured)} load tests, {source}"
+    units = "[urad/(N m)], compensator [N, m]" if problem.compensator else "[urad/(N m)]"
+    title = f"Joint compliances {units} of {problem.arm.name} from {len(problem.measured)} load tests, {source}"
     residual = f"residual {1e6 * fit.residual_rms:.2f} um RMS, normal with p = {fit.normality:.2g}"
     rows = []
     columns = zip(problem.names, problem.scale, fit.values, fit.half_widths, fit.free, strict=True)

@@ -35,9 +35,13 @@
   }
 
   const cuts = [...linked.x.keys()].filter((i) => linked.cutting[i]);
-  const [xs, ys] = [linked.x, linked.y].map((at, k) => [stock[k], stock[k + 3], ...cuts.map((i) => at[i])]);
+  const ends = [linked.x, linked.y].map((at) => cuts.map((i) => at[i])).map((at) => [Math.min(...at), Math.max(...at)]);
+  const sizes = ends.map(([from, to], k) => [to - from, stock[k + 3] - stock[k]]);
+  /* A path that is small in its stock fills the map. */
+  const small = cuts.length > 0 && Math.max(...sizes.map(([path]) => path)) < 0.5 * Math.max(...sizes.map(([, block]) => block));
+  const [xs, ys] = ends.map((at, k) => (small ? at : [stock[k], stock[k + 3], ...at]));
   const [left, right, low, high] = [Math.min(...xs), Math.max(...xs), Math.min(...ys), Math.max(...ys)];
-  const room = 0.04 * Math.max(right - left, high - low);
+  const room = (small ? 0.2 : 0.04) * Math.max(right - left, high - low);
   const [x0, x1, y0, y1] = [left - room, right + room, low - room, high + room];
   const flat = (y1 - y0) / (x1 - x0) < 0.45;
 

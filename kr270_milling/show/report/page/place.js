@@ -58,8 +58,8 @@
       ["way", `${KR.num(linked.distance[i], 2)} mm`],
       ["x y z", `${KR.num(linked.x[i], 2)} ${KR.num(linked.y[i], 2)} ${KR.num(linked.z[i], 2)} mm`]);
     for (const one of linked.passes) {
-      const shift = Math.abs(one.correction[i]) > 0.005 ? `, shift ${KR.num(one.correction[i], 1)} µm` : "";
-      parts.push([one.name, `${KR.num(one.side[i], 2)} µm, ${KR.num(one.force[i], 1)} N${shift}`]);
+      const correction = Math.abs(one.correction[i]) > 0.005 ? `, correction ${KR.num(one.correction[i], 1)} µm` : "";
+      parts.push([one.name, `${KR.num(one.side[i], 2)} µm, ${KR.num(one.force[i], 1)} N${correction}`]);
     }
     KR.by("readout").replaceChildren(...parts.map(([label, value]) =>
       KR.make("span", KR.make("i", label ? `${label} ` : ""), KR.make("b", value))));
