@@ -11,11 +11,11 @@ from samples import surfaces
 from samples.wavy import MACHINE, program
 from scipy.spatial.transform import Rotation
 
-from kr270_milling.api import compensate
 from kr270_milling.base.frames import rotation_from_quaternion
 from kr270_milling.base.parameter_file import find_file
 from kr270_milling.cell.arm import PlacedArm
 from kr270_milling.cell.cell_file import read_cell
+from kr270_milling.cell.jobs import compensated, simulate
 from kr270_milling.cell.models import arm_of
 from kr270_milling.cell.sections import Program
 from kr270_milling.decide.programs.files import write_joint_table, write_rsi_table
@@ -116,15 +116,16 @@ def test_a_correction_of_a_leaning_tool_takes_the_deviation_away_and_its_program
     file.write_text(surfaces.table(surfaces.ROWS[name]()))
     settings = [f"path.file={file}", *surfaces.COMMON, *surfaces.CELLS[name]]
     part = read_cell(find_file("test_piece.yaml"), settings)
-    both = compensate(part)
+    original = simulate(part)
+    planned = compensated(part, original, part.compensation.method)
     sizes = []
-    for run in (both.original.result, both.planned.result):
+    for run in (original.result, planned.result):
         away, way = run.actual - run.target, np.gradient(run.target, axis=0)
         way /= np.linalg.norm(way, axis=1, keepdims=True) + 1e-15
         across = np.linalg.norm(away - np.sum(away * way, axis=1, keepdims=True) * way, axis=1)[run.volume > 0.0]
         sizes.append([across.mean(), across.max()])
     assert np.all(np.divide(sizes[1], sizes[0]) < 0.05), sizes
-    target, reference, arm = both.original.reference, both.planned.reference, arm_of(part)
+    target, reference, arm = original.reference, planned.reference, arm_of(part)
     start = target.position[0], *map(int, status_turn(arm.arm, arm.joints(target)[0]))
     setup = Setup(arm.mount.pose, arm.place, lambda *_: start, 0.02)
     _, knots, _ = write_krl(tmp_path, Program(name="FIVE", tolerance=20e-6), setup, target, reference)
