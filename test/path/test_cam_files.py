@@ -85,7 +85,7 @@ CONVERSATIONAL = {
     "TOOL CALL 1 Y": "takes a tool, Z", "TOOL CALL 1 Z S9 DL-5": "DL and DR of TOOL CALL move the path",
     "L Z-2\nL M140 MB5\nL X+3\nL M140 MB 1 F90": [(0, 0, -2), (3, 0, 3), (3, 0, 4)],
     "L Z-2\nL M140 MB MAX FMAX\nL X+3 Y+0 Z-2": [(0, 0, -2), (3, 0, -2)],
-    "L X+9 M140 MB5": "in a block of its own", "L Z-1\nL X-500 F9 M91": "a cut to a place of the machine",
+    "L X+9 M140 MB5": "in a separate block", "L Z-1\nL X-500 F9 M91": "a cut to a place of the machine",
     "CC X+0 Y+5\nC X+0 Y+10 DR+ FMAX": "a rapid move on an arc",
     "X+5": "'X\\+5' is not read", "CC X+9 Y+0\nCP IPA-90 DR+": "turns against DR",
 }  # fmt: skip

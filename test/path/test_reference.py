@@ -67,7 +67,7 @@ ENDS = {
     "o1 sub\nM73\nG91\nM71\no1 endsub\no1 call\nX4\nX1": [4, 5],
     "@10 ^90\n^0\nG91 @2 ^[180-90]": [(0, 10), (10, 0), (0, 12)],
     "G18 G98 G81 X3 Z-2 Y-4 R1": [(3, -4, -2)],
-    # a cycle goes on, whatever moves the coordinates
+    # a cycle continues, whatever moves the coordinates
     "G10 L2 P2 X50\nG99 G81 X1 Z-2 R1\nG55\nX2\nG52 Y4 Z1\nX3\nG28 Z9\nX4 Y0": [
         (1, 0, -2),
         (52, 0, -2),

@@ -318,7 +318,7 @@ class _Conversational(Machine):
             if math.isinf(back):
                 self.home(["Z"])
             elif words or self.program.quaternion != self.along_plane:
-                raise _Refused("M140 MB in a block of its own, with the tool along z")
+                raise _Refused("M140 MB in a separate block, with the tool along z")
             else:
                 words["IZ"], rapid = back, not re.search(r"F ?[-+0-9Q.]", text)
         if "LA" in words and 120 in functions:
