@@ -60,21 +60,23 @@ def compile_cuts() -> None:
 
 
 def compile_learning() -> None:
-    """Compile the model of the teeth and the learning."""
+    """Compile the model of the teeth and the learning, then the cut and the check of a leaning tool."""
     from kr270_milling.cell.jobs import compensated, simulate
+    from kr270_milling.decide.check import check
 
     cell = compile_cut("teeth")
     compensated(cell, simulate(cell), "learned")
+    check(compile_cut("engagement", gcode="G21 S8000 M3\nG43.5 H1\nG0 X-9 Y8 Z30 J1 K3\nG0 Z-1\nG1 X9 F600\nM30\n"))
 
 
-def compile_cut(detail: str, *more: str) -> Cell:
+def compile_cut(detail: str, *more: str, gcode: str = "") -> Cell:
     """Compile the pass, the cut along a path and a single step; returns the cell."""
     from samples.small_part import GCODE, small_part
 
     from kr270_milling.cell.jobs import simulate
 
     with tempfile.TemporaryDirectory() as directory:
-        cell = small_part(Path(directory), GCODE, f"cutting.detail={detail}", *more)
+        cell = small_part(Path(directory), gcode or GCODE, f"cutting.detail={detail}", *more)
         assert path_of(cell).target
     simulate(cell)
     places = np.zeros((2, 3))

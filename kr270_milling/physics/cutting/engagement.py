@@ -451,7 +451,14 @@ def _clear(s, p, x0, y0, x1, y1, level, sinking, to_middle, ahead_x, ahead_y):
     about_i, about_j = int(math.floor(u1 + 0.5)) - p.reach, int(math.floor(v1 + 0.5)) - p.reach
     frame = (ahead_y, side_x, np.int64(side_y), zero, about_i, about_j, u1, v1, r)
     start = max(int(math.ceil(u1 - r - RIM)), 0)
-    count = min(int(math.floor(u1 + r + RIM)), p.nx - 1) + 1 - start
+    end = min(int(math.floor(u1 + r + RIM)), p.nx - 1) + 1
+    if not sinking:  # columns that reach ahead of the chord through the middle
+        half = (r + RIM) * abs(ahead_y) + abs(to_middle) * scale + 1.0
+        if ahead_x > 0.0:
+            start = max(start, int(math.floor(u1 - half)))
+        else:
+            end = min(end, int(math.ceil(u1 + half)) + 1)
+    count = max(end - start, 0)
     low, high, before, behind = s.spans[0], s.spans[1], s.spans[2], s.spans[3]
     _spans(low, high, start, count, u1, v1, (r + RIM) ** 2)
     _spans(before, behind, start, count, u0, v0, (r - RIM) ** 2)
@@ -530,6 +537,7 @@ def _lower_blocks(s, p, i, low, high, level, sparse, about_i, about_j):
     pool, rests, log_place, log_level, log_rest = s.pool, s.rest, s.log_place, s.log_level, s.log_rest
     j, logged, sunk = np.int64(low), s.ints[LOGGED], s.sunk
     new = total = 0
+    lost = not sparse  # whether the last block lost something: the next one does, too
     room = logged + high - low < log_place.size
     if not room:
         logged = LOG_LOST
@@ -544,7 +552,7 @@ def _lower_blocks(s, p, i, low, high, level, sparse, about_i, about_j):
             begin = axis + ((j - axis) & ~(BLOCK - 1))  # blocks begin at the axis
             end = min(stop, begin + BLOCK)
             first, count = np.uint64(base + j), np.uint16(end - j)
-            if sparse and not any_above(pool, first, np.uint64(end - j), deep):
+            if not lost and not any_above(pool, first, np.uint64(end - j), deep):
                 j = end
                 continue
             if room:
@@ -573,6 +581,7 @@ def _lower_blocks(s, p, i, low, high, level, sparse, about_i, about_j):
             sunk[k, 2] += lowered * p.inverse[np.uint64(i - about_i), np.uint64(middle)]
             total += np.int64(levels)
             new += np.int64(untouched)
+            lost = not sparse or lowered > 0
             j = end
     s.ints[LOGGED] = logged
     s.ints[NODES_CUT] += new
