@@ -233,7 +233,7 @@ def make_engagement_state(p: EngagementParams, stock: Stock) -> EngagementState:
             lost,
             np.zeros(2 * bins),
             np.zeros(11 * RUN, np.float32),
-            np.zeros(11 * RUN),
+            np.zeros(12 * RUN),
         )
     ints = np.zeros(INTS, np.int64)
     ints[FLOOR_LEVEL] = -1

@@ -17,6 +17,7 @@ SHARE = 2 * RUN  # of the step, after which the tool is lowest
 LOST = 3 * RUN  # levels that the cell loses
 REST = 4 * RUN  # level before of what the tool had not covered
 BOUND = 5 * RUN  # level below which no node of a whole run is lowered
+FALL = 7 * RUN  # half of the difference of the levels of the tool over a cell
 NEAR = 6 * RUN  # 2: the tool covers cells of a whole run in part; 1: it did so at the start of the step
 
 
