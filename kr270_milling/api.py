@@ -21,9 +21,10 @@ from kr270_milling.cell import cell_file, jobs
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.models import arm_of, path_of
 from kr270_milling.decide import check as checks
-from kr270_milling.decide import compensation, tolerance
+from kr270_milling.decide import compensation
 from kr270_milling.decide import decision as decisions
 from kr270_milling.decide import verdict as verdicts
+from kr270_milling.decide.part import assessment
 from kr270_milling.decide.stability import modes_of
 from kr270_milling.exchange.replay.recorded import pass_from_recording
 from kr270_milling.path.trajectory import Trajectory
@@ -111,9 +112,9 @@ class Pass(Shown, jobs.ScoredPass):
         return 1e6 * self.scores.max_deviation
 
     @property
-    def tolerance(self) -> tolerance.Judgement:
+    def tolerance(self) -> assessment.Judgement:
         """Remaining error of the part against ``part.tolerance_um``."""
-        return tolerance.judge(self.cell, self)
+        return assessment.judge(self.cell, self)
 
     def tables(self) -> list[TextTable]:
         return [_scores_table([self])]

@@ -52,7 +52,7 @@ def answered(*words: str, code: int = 0) -> dict:
 
 def printed(capsys, *words: str) -> tuple[int, str, dict, str]:
     """Run a command once; return its exit code, what it prints for a reader, its JSON, and its warnings."""
-    answer = run(make_parser().parse_args(words))
+    answer = run(make_parser(words).parse_args(words))
     with answer_of(words[0]):
         code = answer.print(as_json=True)
     text, warnings = capsys.readouterr()

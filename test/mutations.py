@@ -15,18 +15,18 @@ from pathlib import Path
 TOP = Path(__file__).resolve().parents[1]
 LOADS, BALANCE = "physics/robot/loads.py", "physics/robot/elastostatics.py"
 MASS, SWEEP = "physics/robot/mass.py", "physics/cutting/sweep.py"
-FRACTIONAL, EDGE = "physics/cutting/fractional.py", "physics/cutting/linear_edge.py"
-LOAD = "physics/cutting/load.py"
+LAWS = "physics/cutting/laws.py"
+LOAD, REVOLUTION = "physics/cutting/load.py", "physics/cutting/revolution.py"
 MOTION, MEASURED = "physics/motion/dynamics.py", "physics/motion/arm_model.py"
-MIRROR, REVISION = "physics/compensation/mirror.py", "physics/compensation/revision.py"
+REVISION = "physics/compensation/revision.py"
 RESPONSE, LIFTED = "physics/compensation/response.py", "physics/compensation/lifted.py"
 LEARNING = "physics/compensation/learning.py"
 IMPERFECTIONS, BACKLASH = "physics/motion/imperfections.py", "physics/motion/backlash.py"
 TESTS = {
     LOADS: ["statics"], BALANCE: ["statics"], MASS: ["mass"], MEASURED: ["dynamics"], MOTION: ["dynamics"],
-    FRACTIONAL: ["force"], EDGE: ["force"], LOAD: ["force"], SWEEP: ["force", "sweep"], MIRROR: ["revision"],
-    REVISION: ["revision"], RESPONSE: ["lifted"], LIFTED: ["lifted"], LEARNING: ["compensator"],
-    IMPERFECTIONS: ["plant"], BACKLASH: ["plant"],
+    LAWS: ["force"], LOAD: ["force"], SWEEP: ["force", "sweep"], REVISION: ["revision"], RESPONSE: ["lifted"],
+    LIFTED: ["lifted"], LEARNING: ["compensator"], IMPERFECTIONS: ["plant"], BACKLASH: ["plant"],
+    REVOLUTION: ["revolution"],
 }  # fmt: skip
 
 #: equation, file, a text that occurs once in the file, with <<old|new>>
@@ -37,13 +37,13 @@ MUTATIONS = [
     ("(1)", MOTION, "(-<<a21|2 * a21>> / w**2)"),
     ("(1) condensed", MOTION, "output[..., free, :] = <<coupling|-coupling>>, coupling.swapaxes(-1, -2)"),
     ("(1) condensed", MOTION, "compliance[..., other, free] <<-|+>> compliance"),
-    ("(1) -M r''", MOTION, "return <<-|>>np.vstack([to * place @ back"),
+    ("(1) -M r''", MOTION, "return <<-|>>np.concatenate([to * place @ back"),
     ("(1) ramp", MOTION, "ramp = (1.0 <<-|+>> a12 / h"),
     ("(1) ramp", MOTION, "a12 / h <<-|+>> 2.0 * z * (1.0 - a11)"),
     ("(1) ramp", MOTION, "(1.0 - a22 <<+|->> 2.0 * z * a21 / w)"),
     ("(1) falling", MOTION, "[constant <<-|+>> rising for"),
     ("(1) corner", MOTION, "response(<<a12|0 * a12>>, a22)"),
-    ("(1) components", MOTION, "model.shape.T @ <<model.mass @ |>>model.reference  # eta -> delta, r -> eta"),
+    ("(1) components", MOTION, "swapaxes(-1, -2) @ <<model.mass @ |>>model.reference  # eta -> delta, r -> eta"),
     ("(1) r'' at start", MOTION, "(6.0 * p / h - <<4.0|2.0>> * v"),
     ("(1) r'' at end", MOTION, "+ 2.0 * v + <<4.0|2.0>> * w) / h"),
     ("(1) corner", MOTION, "v <<-|+>> before[n, j]"),
@@ -99,19 +99,19 @@ MUTATIONS = [
     ("measured modes", MEASURED, "np.linalg.pinv(<<weight[:, None] * |>>shapes)"),
     ("tool in series", MEASURED, "larger[:, order:, order:] = (1.0 - <<share|0.9 * share>>) * np.eye(3)"),
     ("tool in series", MEASURED, "np.eye(3) <<-|+>> axes[:, :, None] * axes[:, None, :]"),
-    ("(26)", FRACTIONAL, "(u <<+|->> r * u * u) / (1.0 + u)"),
-    ("(26)", FRACTIONAL, "(u + r * u * u) / (1.0 <<+|->> u)"),
-    ("(26) reading", FRACTIONAL, "READING_DEPTH = <<1e-3|1.0>>"),
-    ("(27)", FRACTIONAL, "u = <<np.maximum(h, 0.0)|h>> / h_s"),
-    ("(27) linear edge", EDGE, "k_e * (h <<>|>=>> 0.0)"),
-    ("(28)", FRACTIONAL, "return tangential, <<radial|-radial>>_ratio * tangential"),
+    ("(26)", LAWS, "(u <<+|->> r * u * u) / (1.0 + u)"),
+    ("(26)", LAWS, "(u + r * u * u) / (1.0 <<+|->> u)"),
+    ("(26) reading", LAWS, "READING_DEPTH = <<1e-3|1.0>>"),
+    ("(27)", LAWS, "u = <<np.maximum(h, 0.0)|h>> / h_s"),
+    ("(27) linear edge", LAWS, "k_e * (h <<>|>=>> 0.0)"),
+    ("(28)", LAWS, "return tangential, <<radial|-radial>>_ratio * tangential"),
     ("(29) F_x, F_r", LOAD, "force_x = share * (<<-|+>>f_r * c"),
     ("(29) F_x, F_t", LOAD, "-f_r * c <<+|->> p.sense * f_t * d"),
     ("(29) F_y, F_r", LOAD, "force_y = share * (<<-|+>>f_r * d"),
     ("(29) F_y, F_t", LOAD, "-f_r * d <<-|+>> p.sense * f_t * c"),
     ("axial force", LOAD, "force_z = <<-|>>share * f_a"),
-    ("axial law", EDGE, "linear_edge(h, <<axial|radial>>_cutting, axial_edge)"),
-    ("axial law", FRACTIONAL, "axial_ratio <<*|+>> tangential"),
+    ("axial law", LAWS, "linear_edge(h, <<axial|radial>>_cutting, axial_edge)"),
+    ("axial law", LAWS, "axial_ratio <<*|+>> tangential"),
     ("M_x", LOAD, "d * force_z <<-|+>> z * force_y"),
     ("M_y", LOAD, "now[4] += z * force_x <<-|+>> p.radii[i] * c * force_z"),
     ("M_z, reaction", SWEEP, "wrench[5] = <<-|>>p.sense * (sum_torque / n)"),
@@ -126,13 +126,21 @@ MUTATIONS = [
     ("h_i = A_i / (R dphi)", SWEEP, "(<<height|2 * height>> * p.radii[i] * p.micro_step)"),
     ("A_i", SWEEP, "total = s.tally[0] * (depth <<-|+>> level * p.level_step) + s.tally[1]"),
     ("torque", LOAD, "now[5] += share * (f_t <<*|+>> p.radii[i])"),
-    ("(30)", MIRROR, "commanded.position <<+ loaded.position - |- loaded.position + >>sagged.position"),
-    ("(30) rotation", MIRROR, "turned = <<loaded|sagged>>.rotation @ np.swapaxes(sagged.rotation, -1, -2)"),
-    ("(30) weights", MIRROR, "loaded = equilibrium(arm, mount, joints, wrench, gravity=<<True|False>>).pose"),
-    ("(31)", MIRROR, "shift = <<target.position - loaded.position|loaded.position - target.position>>"),
-    ("(32)", MIRROR, "modified.position <<+|->> relaxation * shift"),
-    ("(32) alpha", MIRROR, "modified.position + <<relaxation|2 * relaxation>> * shift"),
-    ("(32) rotation", MIRROR, "from_rotvec(<<relaxation|-relaxation>> * vector)"),
+    ("revolution: F_x", REVOLUTION, "(out * c <<+|->> p.sense * f_t * d)"),
+    ("revolution: F_y", REVOLUTION, "(out * d <<-|+>> p.sense * f_t * c)"),
+    ("revolution: out", REVOLUTION, "out, up = -f_r * sine <<-|+>> f_a * cosine"),
+    ("revolution: up", REVOLUTION, "f_r * cosine <<-|+>> f_a * sine"),
+    ("revolution: h", REVOLUTION, "h = share * normal, <<normal|2 * normal>> * each"),
+    ("revolution: d.n", REVOLUTION, "normal = forward * sine <<-|+>> dz * cosine"),
+    ("revolution: area", REVOLUTION, "shape.sine_area[b] <<-|+>> dz * shape.cosine_area[b]"),
+    ("revolution: torque", REVOLUTION, "torque += f_t * share * <<area|normal>>"),
+    ("(30)", REVISION, "commanded.position <<+ loaded.position - |- loaded.position + >>sagged.position"),
+    ("(30) rotation", REVISION, "turned = <<loaded|sagged>>.rotation @ np.swapaxes(sagged.rotation, -1, -2)"),
+    ("(30) weights", REVISION, "loaded = equilibrium(arm, mount, joints, wrench, gravity=<<True|False>>).pose"),
+    ("(31)", REVISION, "shift = <<target.position - loaded.position|loaded.position - target.position>>"),
+    ("(32)", REVISION, "modified.position <<+|->> relaxation * shift"),
+    ("(32) alpha", REVISION, "modified.position + <<relaxation|2 * relaxation>> * shift"),
+    ("(32) rotation", REVISION, "from_rotvec(<<relaxation|-relaxation>> * vector)"),
     ("Fig. 14", REVISION, "return <<-|>>record.sampled_displacement(reference, target.time_ns)"),
     ("z / r bend", RESPONSE, "return (h11 <<-|+>> 1.0) / w**2, of_jerk"),
     ("z / r jerk", RESPONSE, "of_jerk = (2.0 * z / w * (1.0 <<-|+>> h11)"),

@@ -188,7 +188,7 @@ print(type(read_cell("paper.yaml", "cutting.law=mine", *given).cutting.active)._
 register("methods", "late", "own_law:Late")
 """
 LAW = """
-from kr270_milling.physics.cutting.linear_edge import LinearEdgeLaw
+from kr270_milling.physics.cutting.laws import LinearEdgeLaw
 
 class OwnLaw(LinearEdgeLaw):
     pass

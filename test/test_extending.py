@@ -13,6 +13,8 @@ import numpy as np
 import pytest
 from hostile import POSTURE, settings
 
+from kr270_milling.physics.cutting.laws import FractionalLaw
+
 ROOT = Path(__file__).resolve().parents[1]
 GUIDE = [ROOT / "kr270_milling/guide/contributing" / page for page in ("extending.md", "cam_language.md")]
 BLOCK = re.compile(r"^(New file|Change in) `([^`]+)`:\n\n```\w+\n(.*?)^```$", re.MULTILINE | re.DOTALL)
@@ -223,7 +225,7 @@ def test_a_package_of_somebody_else_adds_law_method_and_reader_to_every_command(
 
 MINE = """
 from dataclasses import dataclass
-from kr270_milling.physics.cutting.fractional import FractionalLaw
+from kr270_milling.physics.cutting.laws import FractionalLaw
 class Other:
     name = "other"
     def revise(self, task): ...
@@ -231,12 +233,6 @@ class Other:
 class Short(FractionalLaw):
     axial_names = ()
     start = (1.0,)
-@dataclass(frozen=True, eq=False)
-class Misspelt(FractionalLaw):
-    scattered = ("stifness",)
-@dataclass(frozen=True, eq=False)
-class Unnamed(FractionalLaw):
-    force = staticmethod(lambda h, c: (0.0, 0.0, 0.0))
 """
 
 
@@ -246,8 +242,6 @@ class Unnamed(FractionalLaw):
     ("[kr270_milling.methods]\nmine = json:loads", "json:loads is no class with the function revise"),
     ("[kr270_milling.methods]\nmine = mine:Other", "the method is named other; give both the same name"),
     ("[kr270_milling.force_laws]\nmine = mine:Short", "start and searched must have 5 entries"),
-    ("[kr270_milling.force_laws]\nmine = mine:Misspelt", "have stifness, which is no coefficient"),
-    ("[kr270_milling.force_laws]\nmine = mine:Unnamed", "force must take h and the coefficients, at most 12, by their"),
 ])  # fmt: skip
 def test_an_entry_point_that_cannot_be_used_is_named_in_one_sentence(tmp_path, line, sentence):
     (tmp_path / "mine-1.0.dist-info").mkdir()
@@ -259,3 +253,11 @@ def test_an_entry_point_that_cannot_be_used_is_named_in_one_sentence(tmp_path, l
     done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=120)
     assert done.returncode == 2 and " mine: " in done.stderr and sentence in done.stderr
     assert "Traceback" not in done.stderr
+
+
+@pytest.mark.parametrize(("members", "sentence"), [
+    ({"scattered": ("stifness",)}, "have stifness, which is no coefficient"),
+    ({"force": staticmethod(lambda h, c: (0.0, 0.0, 0.0))}, "force must take h and the coefficients, at most 12"),
+])  # fmt: skip
+def test_a_force_law_that_cannot_be_used_has_a_fault(members, sentence):
+    assert sentence in type("Mine", (FractionalLaw,), members).fault()

@@ -16,6 +16,7 @@ from kr270_milling.physics.compensation.methods import methods
 from kr270_milling.recordings.messages.topics import topic_table
 from kr270_milling.show.commands.options import COMMANDS, make_parser
 
+PARSER = make_parser()
 TEXT = "\n".join(page.read_text(encoding="utf-8") for page in PAGES)
 #: pages whose commands another test runs in the same way
 RUN_ELSEWHERE = {"kr270_milling/guide/identification.md": "test_identification_commands.py"}
@@ -52,9 +53,9 @@ def test_every_command_is_one_that_the_program_takes(words):
     if len(words) == 1:  # its name in a sentence
         words.append("--help")
         with pytest.raises(SystemExit, match="0"):
-            make_parser().parse_args(words)
+            PARSER.parse_args(words)
         return
-    assert make_parser().parse_args(words).command == words[0]
+    assert PARSER.parse_args(words).command == words[0]
 
 
 def test_commands_cells_topics_and_methods_of_the_pages_are_those_of_the_package():

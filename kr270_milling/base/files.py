@@ -1,4 +1,4 @@
-"""Write output files and directories completely or not at all."""
+"""Write output files and directories completely or not at all; read text files."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import contextlib
 import errno
 import fcntl
 import os
+import re
 import shutil
 import uuid
 from collections.abc import Callable, Iterable, Iterator
@@ -101,21 +102,25 @@ def write_files(contents: dict[Path, Iterable], newline: str = "\n") -> None:
     """Write several files from pieces of text or of bytes; raise InputError.
 
     Either all files appear under their names and replace existing files, or none does. A power cut may leave some.
+    Missing folders are made.
     """
     parts = {Path(path): Path(path).with_name(f".{Path(path).name}.{os.getpid()}.part") for path in contents}
     try:
         for path, pieces in contents.items():
             part = parts[Path(path)]
+            part.parent.mkdir(parents=True, exist_ok=True)
             part.unlink(missing_ok=True)
             _write(part, iter(pieces), newline)
         for path, part in parts.items():
             part.replace(path)
     except OSError as error:
-        place = error.filename or next(iter(contents), "output")
+        drafts = {str(part): path for path, part in parts.items()}
+        place = drafts.get(error.filename) or error.filename or next(iter(contents), "output")
         raise InputError(place, f"cannot be written ({write_failure(error, place)})") from None
     finally:
         for part in parts.values():
-            part.unlink(missing_ok=True)
+            with contextlib.suppress(OSError):  # a folder that is missing or no folder
+                part.unlink()
 
 
 def _write(path: Path, pieces: Iterator, newline: str) -> None:
@@ -141,3 +146,58 @@ def fresh_directory(out) -> Path:
             continue
         return out / f"run_{number}"
     raise FileExistsError(f"{out}: contains too many runs")
+
+
+MOST_BYTES = 1 << 30  # the file is read at once; a block of a tool path has some 30 bytes
+
+
+def read_lines(path) -> list[str]:
+    """Return the lines of a text file; the last item is "" if the file ends with a newline.
+
+    Raises InputError with the line of the first character that is not text.
+    """
+    try:
+        if not Path(path).is_file():  # a directory, a pipe, a device
+            raise InputError(path, "is no file" if Path(path).exists() else "is no such file")
+        if Path(path).stat().st_size > MOST_BYTES:
+            raise InputError(path, f"has more than {MOST_BYTES} bytes; cut the path in pieces")
+        data = Path(path).read_bytes()
+    except (OSError, ValueError) as error:
+        raise InputError(path, f"cannot be read ({getattr(error, 'strerror', None) or error})") from None
+    if not data.strip():
+        raise InputError(path, "the file is empty", 1)
+    if data[:2] in (b"\xff\xfe", b"\xfe\xff"):
+        raise InputError(path, "the file is UTF-16 text; save it as UTF-8 or ASCII", 1)
+    null = data.find(b"\0")
+    if null >= 0:
+        before = data[:null].replace(b"\r\n", b"\n")
+        line = before.count(b"\n") + before.count(b"\r") + 1
+        raise InputError(path, "holds a zero byte, so it is no text file", line)
+    text = data.decode(encoding_of(data)).removeprefix("\ufeff")
+    return text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
+
+
+def encoding_of(data: bytes) -> str:
+    """Return UTF-8, or Latin-1 for a text that is not UTF-8, as posts write the comment (Müller)."""
+    try:
+        data.decode("utf-8")
+    except UnicodeDecodeError:
+        return "latin-1"
+    return "utf-8"
+
+
+def unended(lines: list[str]) -> str:
+    """Return the reason why a file without a final newline is refused; "" for a complete file.
+
+    Such a file may be cut off in the middle of its last number, unless its last line repeats an earlier one.
+    """
+    reason = "the file ends in the middle of a line, so it may be cut off; if it is whole, end its last line"
+    block_number = re.compile(r"\AN[ \t]*[0-9]+", re.I)
+    last, *earlier = (block_number.sub("", line.strip()).strip() for line in lines[::-1])
+    longer = {line for line in earlier if line.startswith(last)} if last else {last}
+    return "" if longer == {last} else reason
+
+
+def short(text: str) -> str:
+    """Return the beginning of a text from a file, for an error message."""
+    return text if len(text) <= 20 else text[:20] + "..."

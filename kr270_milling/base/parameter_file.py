@@ -29,7 +29,7 @@ def refusal(file, key: str, value, allowed: str) -> ConfigError:
 def read_tree(path) -> dict:
     """Return the ``/**: ros__parameters:`` dict of a parameter file, merged over the files of its ``includes``.
 
-    Each file is read once, even if several files include it. Raises ConfigError, also for more than MOST_INCLUDES
+    Each file is read once, even if several files include it. Raises ConfigError, also for more than 64
     names in all files together and for a chain of more than 8 includes.
     """
     return _merged(Path(path), (), {}, [])

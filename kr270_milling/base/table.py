@@ -10,9 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from kr270_milling.base.errors import InputError, nearest
-from kr270_milling.base.text import read_lines, unended
+from kr270_milling.base.files import read_lines, unended
 
-SEPARATOR = re.compile(r'"?sep=(.)"?\s*', re.I)  #: the first line of a table that a spreadsheet wrote
 #: decimal sign -> a number with this sign, perhaps with the other one between groups of three digits
 NUMBERS = {
     sign: re.compile(rf"[+-]?(?:[1-9][0-9]{{0,2}}(?:\{group}[0-9]{{3}})+|[0-9]*)(?:\{sign}[0-9]+)?(?:[eE][+-]?[0-9]+)?")
@@ -108,7 +107,8 @@ def _cells(lines: list[str], path) -> list[tuple[int, tuple[str, ...]]]:
     A spreadsheet may separate columns by semicolons or tabs, write 1,5 for 1.5, and begin with sep=;.
     """
     header = next((line for line in lines if line.strip() and not line.startswith("#")), "")
-    if stated := SEPARATOR.fullmatch(header):
+    # the first line of a table that a spreadsheet wrote
+    if stated := re.fullmatch(r'"?sep=(.)"?\s*', header, re.I):
         separator, lines = stated[1], [line if line is not header else "" for line in lines]
     else:
         separator = "," if "," in header else next((sign for sign in ";\t" if sign in header), ",")

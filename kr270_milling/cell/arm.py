@@ -9,7 +9,7 @@ import numpy as np
 from kr270_milling.base.frames import Pose, rotation_from_quaternion
 from kr270_milling.cell.sections import Workpiece
 from kr270_milling.path.trajectory import Trajectory
-from kr270_milling.physics.compensation.mirror import mirror
+from kr270_milling.physics.compensation.revision import mirror
 from kr270_milling.physics.compensation.settings import CompensationSettings
 from kr270_milling.physics.cutting import Tool
 from kr270_milling.physics.motion.arm_model import Dynamics, modal_models

@@ -21,7 +21,7 @@ from kr270_milling.cell.paths import BY_TEETH, StraightCut
 from kr270_milling.cell.sections import Workpiece
 from kr270_milling.cell.stage import Stage
 from kr270_milling.path.cam.readers import find_tool_path
-from kr270_milling.path.source_program import SourceProgram
+from kr270_milling.path.source_program import ProgramTool, SourceProgram
 from kr270_milling.physics.robot import pose
 
 #: sections that a tool may override; its other keys are those of ``tool``
@@ -56,13 +56,18 @@ def read_cells(path, assignments=()) -> tuple[Cell, ...]:
         return (_one_cell(tree, assigned, path),)
     chosen = tree.get("path", {}).get("tool", "") if isinstance(tree.get("path"), dict) else ""
     by_tool = {name: _cell_of_tool(name, own, assigned, path) for name, own in _tool_trees(tree, path).items()}
-    order = _in_program_order(tuple(by_tool), next(iter(by_tool.values())).path.source, path)
-    cells = [by_tool[name] for name in order]
+    runs = _in_program_order(tuple(by_tool), next(iter(by_tool.values())).path.source, path)
+    for run in runs:
+        if run.name not in by_tool:
+            by_tool[run.name] = _cell_of_tool(run.name, _tree_of_tool(tree, run.name, path), assigned, path)
+    if chosen and chosen not in [run.name for run in runs]:
+        raise ConfigError(path, "path.tool", chosen, f"one of {', '.join(run.name for run in runs)}")
+    cells = [by_tool[run.name] for run in runs]
     cut = [removal_of(cell) for cell in cells]
     tips = [cell.mount.xyz.tolist() for cell in cells]
     stages = [
-        Stage(order[k], k + 1, len(cells), tuple(cut[:k]), tuple(cut[k + 1 :]), tips[k] in tips[:k])
-        for k in range(len(cells))
+        Stage(run.name, k + 1, len(cells), tuple(cut[:k]), tuple(cut[k + 1 :]), run.first and tips[k] in tips[:k])
+        for k, run in enumerate(runs)
     ]
     staged = [_staged(cell, stage, path) for cell, stage in zip(cells, stages, strict=True)]
     return tuple(cell for cell in staged if chosen in ("", cell.path.tool))
@@ -169,13 +174,19 @@ def _tool_trees(tree: dict, file) -> dict[str, dict]:
     if not isinstance(path, dict) or not path.get("file"):
         raise ConfigError(file, "tools", None, "needs a program in path.file")
     chosen = path.get("tool", "")
-    if chosen and chosen not in tools:
+    if chosen and not {chosen, _tool_of(chosen)} & tools.keys():
         raise ConfigError(file, "path.tool", chosen, f"one of {', '.join(tools)}")
     return {name: _tree_of_tool(tree, name, file) for name in tools}
 
 
+def _tool_of(run: str) -> str:
+    """Return the name of a tool from that of a further run: T1 of T1_2."""
+    return run.rpartition("_")[0]
+
+
 def _tree_of_tool(tree: dict, name: str, file) -> dict:
-    entry = tree["tools"][name]
+    """The tree of a cell for a run of a tool; a further run without a group has that of the tool."""
+    entry = tree["tools"].get(name) or tree["tools"][_tool_of(name)]
     if isinstance(entry.get("stock"), dict) and {"min_mm", "max_mm"} & set(entry["stock"]):
         raise ConfigError(file, f"tools.{name}.stock", None, "must not have min_mm, max_mm: the tools share one stock")
     sections = {key: value for key, value in entry.items() if key in SECTIONS}
@@ -184,21 +195,13 @@ def _tree_of_tool(tree: dict, name: str, file) -> dict:
     return merge({key: value for key, value in tree.items() if key != "tools"}, above)
 
 
-def _in_program_order(names: Sequence[str], program: SourceProgram, file) -> list[str]:
-    """The names of the tools by their first line in the program; file: of the cell.
-
-    Raises ConfigError where the program cuts with a tool that has no name here, or where a tool cuts again after
-    another one.
-    """
-    cutters = sorted((tool for tool in program.tools if tool.cuts), key=lambda tool: tool.line)
+def _in_program_order(names: Sequence[str], program: SourceProgram, file) -> list[ProgramTool]:
+    """The runs that cut, in their order; raises ConfigError for a tool that has no name here; file: of the cell."""
+    cutters = [tool for tool in program.tools if tool.cuts]
     for tool in cutters:
-        if tool.name not in names:
+        if not {tool.name, tool.changed_as} & set(names):
             raise ConfigError(file, f"tools.{tool.name}", None, f"is missing: the program cuts with {tool.label}")
-    for tool, following in zip(cutters, cutters[1:], strict=False):
-        if tool.last_cut > following.line:
-            reason = f"cuts again in line {tool.last_cut}, after {following.name}: post a program that uses it once"
-            raise ConfigError(file, f"tools.{tool.name}", None, reason)
-    return [tool.name for tool in cutters]
+    return cutters
 
 
 def cell_text(cell: Cell) -> str:

@@ -160,9 +160,11 @@ def draft(file: str, paths: Sequence[Toolpath], robot: str) -> tuple[str, list[s
 
 
 def _entry(path: Toolpath) -> str:
-    """The lines of one of several tools."""
+    """The lines of one of several tools; of a further run of a tool a comment."""
     tool, names = path.program.current, ", ".join(path.program.operations)
     label = _words(f"{tool.label if tool else path.program.tool}{f': {names}' if names else ''}")
+    if tool and not tool.first:
+        return f"      # {label}: a further run, with the keys of {tool.changed_as} unless there is a group {tool.name}"
     keys = "\n".join(f"  {line}" for line in TOOL.format(**_tool(path)).splitlines())
     return f"      {path.program.tool}:  # {label}\n{keys}"
 

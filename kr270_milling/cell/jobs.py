@@ -21,13 +21,12 @@ from kr270_milling.cell.paths import CellPath
 from kr270_milling.cell.plant import DIVERGED, Plant, coarser, cores, perturbed
 from kr270_milling.path.trajectory import Trajectory
 from kr270_milling.physics.compensation.compensator import Compensator
-from kr270_milling.physics.compensation.learning import Learner
+from kr270_milling.physics.compensation.learning import CellModels, Learner
 from kr270_milling.physics.compensation.method import Method
 from kr270_milling.physics.compensation.methods import method_of
-from kr270_milling.physics.compensation.models import CellModels
 from kr270_milling.physics.compensation.response import ArmResponse, Lag
 from kr270_milling.physics.compensation.revision import PassRecord
-from kr270_milling.physics.motion.dynamics import ArmFactors, ModalModel
+from kr270_milling.physics.motion.dynamics import ArmFactors
 from kr270_milling.physics.motion.imperfections import Imperfections
 from kr270_milling.physics.motion.milling_pass import PassResult, run_pass
 from kr270_milling.physics.motion.scores import Scores, score
@@ -161,16 +160,14 @@ def models_of(cell: Cell) -> CellModels:
     )
 
 
-def robot_passes(
-    cell: Cell, target: Trajectory, reference: Trajectory, count: int = PLANNED
-) -> list[tuple[ArmResponse, PassRecord]]:
+def robot_passes(cell: Cell, target: Trajectory, reference: Trajectory) -> list[tuple[ArmResponse, PassRecord]]:
     """The model first, then robots drawn from ``cell.uncertainty``: response and true pass along a reference.
 
     Repeatability shifts each pass by chance, so it is left out. A robot that is unstable is left out, too.
     """
     planning_seed = 1_000_000  # seed of these robots: the seeds of a verdict are smaller
     model, rng = coarser(cell), np.random.default_rng(planning_seed)
-    drawn = [model.replace(imperfections=Imperfections()), *(perturbed(model, rng) for _ in range(count))]
+    drawn = [model.replace(imperfections=Imperfections()), *(perturbed(model, rng) for _ in range(PLANNED))]
 
     def run(robot: Cell) -> tuple[ArmResponse, PassRecord] | None:
         try:
@@ -210,17 +207,16 @@ def arm_response(cell: Cell, target: Trajectory) -> ArmResponse:
         tool=np.stack([model.tool for model in models if model.tool is not None])
         if cell.tool.lateral_compliance
         else None,
+        # the displacement stays from one posture to the next: u_after = Phi_after^T M_after Phi_before u_before
         carry=np.stack(
-            [_carry(before, after) for before, after in zip(models, [*models[1:], models[-1]], strict=True)]
+            [
+                after.shape.T @ after.mass @ before.shape
+                for before, after in zip(models, [*models[1:], models[-1]], strict=True)
+            ]
         ),
         moves=cell.dynamics.reference_inertia,
         posture=posture,
     )
-
-
-def _carry(before: ModalModel, after: ModalModel) -> np.ndarray:
-    """The displacement stays from one posture to the next: u_after = Phi_after^T M_after Phi_before u_before."""
-    return after.shape.T @ after.mass @ before.shape
 
 
 def expected_deviations(cell: Cell, references: Sequence[Trajectory]) -> list[float]:

@@ -20,6 +20,7 @@ from kr270_milling.path.trajectory import Trajectory
 from kr270_milling.physics.cutting import Cut, CutModel, EngagementCut, Stock, Tool
 from kr270_milling.physics.cutting.engagement import mean_thrusts
 from kr270_milling.physics.cutting.grid import RESOLVED_NODES
+from kr270_milling.physics.cutting.laws import Cutting
 from kr270_milling.physics.motion.arm_model import arm_model
 from kr270_milling.physics.motion.dynamics import ArmFactors, ArmModel, ModalModel, approach, discretise
 from kr270_milling.physics.motion.periods import Exchange
@@ -78,7 +79,8 @@ def cut_of(cell: Cell, rigid: bool = False) -> CutModel:
     cut: CutModel
     common = cell.tool, cell.cutting, cell.stock, cell.exchange.micro_step
     if cell.cutting.by_engagement:
-        cut = EngagementCut(*common, give=_give(cell), tilts=path_of(cell).tilts, bounce=_bounce(cell))
+        bounce = _bounce(arm_of(cell), path_of(cell), cell.cutting)
+        cut = EngagementCut(*common, give=_give(cell), tilts=path_of(cell).tilts, bounce=bounce)
     else:
         cut = Cut(*common)
     if cell.earlier:
@@ -98,16 +100,17 @@ def _give(cell: Cell) -> float:
     return float((output @ driven + feedthrough)[2, 2])
 
 
-def _bounce(cell: Cell) -> np.ndarray:
+@functools.lru_cache(maxsize=8)  # a robot runs several programs
+def _bounce(arm: PlacedArm, path: CellPath, cutting: Cutting) -> np.ndarray:
     """Mean thrust of a tip that bounces on its end edges, as a share of that of a steady tip, see ``mean_thrusts``."""
-    model, tool = modal_model_of(cell), cell.tool
+    model, tool = _start_modes(arm, path), arm.tool
     modes = (
         model.frequency,
-        model.ratios(cell.dynamics.damping_ratio),
+        model.ratios(arm.dynamics.damping_ratio),
         (model.output @ model.shape)[2],
         (model.shape.T @ model.force)[:, 2],
     )
-    return mean_thrusts(modes, tool, cell.cutting, 2.0 * math.pi / (tool.spindle_speed * tool.teeth))
+    return mean_thrusts(modes, tool, cutting, 2.0 * math.pi / (tool.spindle_speed * tool.teeth))
 
 
 def modal_model_of(cell: Cell) -> ModalModel:

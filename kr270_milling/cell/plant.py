@@ -187,7 +187,8 @@ def _drawn(cell: Cell, rng: np.random.Generator | Numbers) -> Cell:
     def factors(spread: np.ndarray) -> np.ndarray:
         return np.exp(np.sqrt(np.log1p(spread**2)) * rng.standard_normal(spread.size))
 
-    compliance = cell.arm.joint_compliance * factors(assumed.of_compliances())
+    stated = assumed.joint_compliances
+    compliance = cell.arm.joint_compliance * factors(stated if stated.size else np.full(6, assumed.joint_compliance))
     axial = law.axial_names if law.axial else ()
     names = (*law.scattered, *axial)
     scattered = zip(names, factors(assumed.of_coefficients(len(names), len(axial))), strict=True)

@@ -508,10 +508,6 @@ class Uncertainty(Record):
         """Share of an error that compensation leaves, one standard deviation of joints and forces."""
         return math.hypot(self.joint_compliance, self.force_coefficient)
 
-    def of_compliances(self) -> np.ndarray:
-        """Return the standard deviations of the six compliances, (6,)."""
-        return self.joint_compliances if self.joint_compliances.size else np.full(6, self.joint_compliance)
-
     def of_coefficients(self, count: int, axial: int) -> np.ndarray:
         """Return the standard deviations of the coefficients of the force law, (count,).
 

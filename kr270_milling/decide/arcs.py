@@ -9,7 +9,7 @@ stock, so that a deeper pass along the same wall would seem as deep as all passe
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,8 +19,6 @@ from kr270_milling.cell.paths import CellPath
 from kr270_milling.cell.stage import Removal
 from kr270_milling.decide.height_map import MAP_TURN, chord, height_map, lower, lower_along, on_map, with_profile
 
-LAG = 10  #: nodes: the crescent in front of the tool is then several nodes thick
-BLOCK = 2000  #: places of the path between two reports of progress
 EVERY = 8  #: places from one evaluation to the next
 
 
@@ -40,12 +38,10 @@ class Arcs:
     spacing: float  #: [m], from place to place on the path
 
 
-def arcs_along(
-    path: CellPath, earlier: Sequence[Removal] = (), progress: Callable[[int, int], None] | None = None
-) -> Arcs:
+def arcs_along(path: CellPath, earlier: Sequence[Removal] = ()) -> Arcs:
     """The engagements of the programmed path, without rapid moves and steep ways down.
 
-    earlier: material that other tools remove before; progress(done, total).
+    earlier: material that other tools remove before.
     """
     radius = float(path.tool.radii.max())
     timed, target, stock = path.timed, path.target, path.stock
@@ -86,11 +82,7 @@ def arcs_along(
     count, (depth, least, most) = np.zeros(distance.size, np.int64), np.zeros((3, distance.size))
     swept = on_map(swept)
     end = 1 + EVERY * int(np.flatnonzero(look)[-1]) if look.any() else 0  # a drill mills nothing
-    for first in range(0, end, BLOCK):
-        last = min(first + BLOCK, end)
-        _engage(grid, swept, heading - MAP_TURN, radius, look, (count, depth, least, most), first, last)
-        if progress is not None:
-            progress(last, end)
+    _engage(grid, swept[:end], heading - MAP_TURN, radius, look, (count, depth, least, most))
     fewest_nodes = 3  # in material; fewer are the rounding of a curve
     some = count >= fewest_nodes
     left = (
@@ -128,17 +120,18 @@ def _lower_outside(grid, radius, path, k):
 
 
 @njit(cache=True, nogil=True)
-def _engage(grid, path, heading, radius, look, met, first, last):
+def _engage(grid, path, heading, radius, look, met):
     """Material in the tool at every eighth place: nodes, largest depth, least and largest distance to the left.
 
-    heading, look: of the places that are evaluated; look: whether to evaluate the place. first, last: rows of the path.
+    heading, look: of the places that are evaluated; look: whether to evaluate the place.
     """
+    lag = 10  # nodes: the crescent in front of the tool is then several nodes thick
     count, depth, least, most = met
     step = grid.step
     cuts = 1e-6  # [m] of depth, less is rounding
-    for k in range(first, last):
-        before = max(k - LAG, 0)
-        if k >= LAG:
+    for k in range(path.shape[0]):
+        before = max(k - lag, 0)
+        if k >= lag:
             _lower_outside(grid, radius, path, before)
         n = k // EVERY
         if k % EVERY or not look[n]:
@@ -151,7 +144,7 @@ def _engage(grid, path, heading, radius, look, met, first, last):
             away_x = grid.x + i * step - x
             first_j, last_j = chord(away_x, y, radius**2, grid.y, step)
             skip_from, skip_to = 0, -1
-            if k >= LAG:  # there the tool was: the surface is no higher than ``level``
+            if k >= lag:  # there the tool was: the surface is no higher than ``level``
                 skip_from, skip_to = chord(away_x + x - path[before, 0], path[before, 1], radius**2, grid.y, step)
             j, stop = max(first_j, grid.first[i]) - 1, min(last_j + 1, grid.end[i])
             while j + 1 < stop:
@@ -163,7 +156,7 @@ def _engage(grid, path, heading, radius, look, met, first, last):
                 if grid.depth[i, j] >= level or away_x**2 + away_y**2 >= radius**2:
                     continue
                 behind_x, behind_y = away_x + x - path[before, 0], away_y + y - path[before, 1]
-                if k >= LAG and behind_x**2 + behind_y**2 < radius**2:
+                if k >= lag and behind_x**2 + behind_y**2 < radius**2:
                     continue
                 left = left_x * away_x + left_y * away_y
                 if count[n] == 0:

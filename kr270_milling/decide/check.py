@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 from collections.abc import Callable, Iterable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,14 +16,19 @@ from kr270_milling.base.errors import InputError
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import ScoredPass, simulate
 from kr270_milling.cell.models import arm_of, path_of
-from kr270_milling.cell.sections import Program
+from kr270_milling.cell.paths import CellPath
+from kr270_milling.cell.sections import Program, Tolerances
+from kr270_milling.decide.check_arm import (
+    arm_violations,
+    corner_blending,
+    correction_per_tick,
+    correction_size,
+    link_contacts,
+    load_reversals,
+)
 from kr270_milling.decide.check_cut import Residue, contact_violations, cut_violations, residue_of
-from kr270_milling.decide.exchange_share import exchange_share
 from kr270_milling.decide.findings import SEVERITIES, Finding, gathered, placed, violation
 from kr270_milling.decide.inputs import input_violations
-from kr270_milling.decide.link_contacts import link_contacts
-from kr270_milling.decide.load_reversals import load_reversals
-from kr270_milling.decide.path_limits import arm_violations, corner_blending, correction_per_tick, correction_size
 from kr270_milling.decide.programs.files import knot_feeds
 from kr270_milling.decide.programs.points import ProgramBlocks, fixed_knots, program_blocks, program_points
 from kr270_milling.decide.stability import Stability, chatter_violations, stability_statement
@@ -31,11 +37,39 @@ from kr270_milling.path.trajectory import Trajectory
 from kr270_milling.physics.motion.milling_pass import FLIGHT, PassError
 from kr270_milling.physics.robot.errors import DeflectionError, EquilibriumError, UnstableLoadError
 
+WINDOW = 0.1  #: [s], over which the corrections of the mean force count: one period corrects the next
+
+
+def exchange_share(path: CellPath, ran: ScoredPass, tolerances: Tolerances) -> tuple[float, str, list[Finding]]:
+    """Return the largest correction of a predicted pose as a share of the length of the chip, its line, and findings.
+
+    By the correction the chip geometry of one period was wrong. A share above its limit is a stop, unless the
+    correction is below 5 % of the tolerance.
+
+    The sweep of the teeth compares each correction with the feed per tooth. The mean force compares the root mean
+    square over WINDOW with the feed of a period, or with that of a tooth where this is longer: material that one period
+    missed is removed in the next, so that a single step of the force, as at an entry, changes one period alone.
+    """
+    negligible = 0.05  # share of the tolerance: a smaller correction is no stop, however slow the feed, as in a plunge
+    scale = path.feed_rate * 2.0 * np.pi / (path.tool.spindle_speed * path.tool.teeth)
+    correction, name, period = ran.result.correction, "feed per tooth", "exchange.period_ms"
+    if not path.by_teeth:
+        periods = max(1, round(WINDOW / path.exchange.period))
+        correction = np.sqrt(np.convolve(correction**2, np.full(periods, 1.0 / periods), mode="same"))
+        name, period = "feed per tooth or period, over 0.1 s", "exchange.engagement_period_ms"
+        scale = max(scale, path.feed_rate * path.exchange.period)
+    k = int(np.argmax(correction))
+    share, warn, stop = float(correction[k]) / scale, path.exchange.warn_correction, path.exchange.stop_correction
+    above = f": above {100 * warn:g} %, use a shorter {period}" if share > warn else ""
+    text = f"exchange: largest correction of a predicted pose is {100 * share:.1f} % of the {name}{above}"
+    tolerance = min(filter(None, tolerances.of()), default=0.0)
+    if share <= stop or correction[k] <= negligible * tolerance:
+        return share, text, []
+    point = int(np.searchsorted(ran.reference.time_ns, ran.result.time_ns[min(k, len(ran.result.time_ns) - 1)])) + 1
+    return share, text, [violation("exchange", share, stop, point, scale=name)]
+
+
 RAPID_MOVES = "removed by rapid moves"
-MOST_LINES = 10  #: lines of the program in the text about rapid moves
-
-
-ARM_ERRORS = DeflectionError, UnstableLoadError, EquilibriumError  #: an arm that cannot bear its load
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,11 +149,12 @@ class Checked:
     @property
     def rapid_text(self) -> str:
         """Return the volume, and the lines of the program that remove it, in one line."""
+        most_lines = 10  # lines of the program in the text about rapid moves
         if self.rapid_moves is None:
             return f"{RAPID_MOVES}: not known, the arm cannot make the path"
         lines = list(dict.fromkeys(str(f.where.line) for f in self.rapid_moves if f.where.line))
-        more = f" and {len(lines) - MOST_LINES} more" if len(lines) > MOST_LINES else ""
-        where = f" (line{'s' * (len(lines) > 1)} {', '.join(lines[:MOST_LINES])}{more})" if lines else ""
+        more = f" and {len(lines) - most_lines} more" if len(lines) > most_lines else ""
+        where = f" (line{'s' * (len(lines) > 1)} {', '.join(lines[:most_lines])}{more})" if lines else ""
         return f"{RAPID_MOVES}: {self.rapid_volume_mm3:.4g} mm3{where}"
 
 
@@ -139,6 +174,7 @@ def check(
     context that yields a function for the progress of a step. Where the arm cannot make the path, nothing is simulated.
     Raises InputError for a path that cannot be read or misses the stock, and for a reference of another path.
     """
+    arm_errors = DeflectionError, UnstableLoadError, EquilibriumError  # an arm that cannot bear its load
     fed = path_of(cell).fed
     programmed = path_of(cell).target if fed is None else fed.trajectory
     run = programmed if reference is None else reference
@@ -152,7 +188,7 @@ def check(
         results, _ = arm_violations(arm_of(cell), cell.limits, run)
     results += [*input_violations(cell), *more]
     if reachable:
-        results += link_contacts(cell, run)
+        results += link_contacts(arm_of(cell), cell.tool.stick_out, cell.workpiece, cell.stock, run)
         straight = run.velocity is None and path.target.velocity is not None
         robot_program = cell.krl.replace(motion=motion or ("LIN" if straight else cell.krl.motion))
         results += _correction(cell, path.target, run, robot_program)
@@ -160,14 +196,15 @@ def check(
         blocks = about["blocks"] = program_blocks(robot_program, path.target, run, fixed)
         if robot_program.motion == "LIN" and not robot_program.blend_distance:
             results.append(violation("no blending", blocks.points, int(path.target.standing.sum())))
-        ran, cut = _cut(cell, run, ran, progress)
-        results += cut
-        about["ran"] = ran
-        about["rapid_moves"] = tuple(placed(path, run, f) for f in cut if f.what == "rapid in material")
-        with contextlib.suppress(*ARM_ERRORS):  # the pass reports the same error as a finding
-            with progress("stability") as report:
-                about["stability"] = stability_statement(cell, report)
-            results += chatter_violations(about["stability"], run.time)
+        with ThreadPoolExecutor(1) as pool:
+            statement = pool.submit(stability_statement, cell)  # on another core than the pass and the contacts
+            ran, cut = _cut(cell, run, ran, progress)
+            results += cut
+            about["ran"] = ran
+            about["rapid_moves"] = tuple(placed(path, run, f) for f in cut if f.what == "rapid in material")
+            with contextlib.suppress(*arm_errors), progress("stability"):  # the pass reports the same error
+                about["stability"] = statement.result()
+                results += chatter_violations(about["stability"], run.time)
         if ran:
             shown, more_findings = _of_pass(cell, run, ran, about.get("stability"))
             results += more_findings

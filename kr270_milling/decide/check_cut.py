@@ -45,11 +45,6 @@ FEWEST_TEETH = 60  #: in one stretch of cutting; fewer say nothing about growth
 #: share of the feed per tooth, median of the thirds of ``FEWEST_TEETH``: measured up to 0.11 in sound cuts of 8 to
 #: 80 um a tooth, mostly noise of the grid in thin chips, and 0.19 to 8 where teeth leave the material in chatter
 CHATTERS = 0.15
-GRID_NOISE = (
-    0.4  #: ``CHATTERS`` per grid step per feed per tooth: larger where the grid is no finer than ``init`` writes
-)
-GROWS = 1.5  #: ratio of one third of a stretch to the third before
-SMALL = 0.001  #: share of the feed per tooth that is printed as a number
 
 
 @dataclass(frozen=True, eq=False)
@@ -571,11 +566,12 @@ class Residue:
     @property
     def text(self) -> str:
         """Return one line."""
+        small = 0.001  # share of the feed per tooth that is printed as a number
         if not self.teeth:
             return "simulated pass (arm only): no statement about vibration, the mean force has no teeth"
         if self.word == "no statement":
             return f"simulated pass (arm only): no cut of {FEWEST_TEETH} teeth without a break to compare"
-        share = f"{100 * self.residue:.2g}" if self.residue >= SMALL else f"less than {100 * SMALL:g}"
+        share = f"{100 * self.residue:.2g}" if self.residue >= small else f"less than {100 * small:g}"
         word = {"grows": "vibration grows", "remains": "vibration without growth"}.get(self.word, "the motion repeats")
         return f"simulated pass (arm only): {word}, from tooth to tooth {share} % of the feed per tooth remain"
 
@@ -591,12 +587,16 @@ def residue_of(cell: Cell, result: PassResult) -> Residue:
     which teeth leave the material. Medians leave out entries, exits and corners, after which the arm swings for a few
     teeth. What swings slower than a tenth of the tooth frequency is left to the deviation.
     """
+    grid_noise = (
+        0.4  # ``CHATTERS`` per grid step per feed per tooth: larger where the grid is no finer than ``init`` writes
+    )
+    growth = 1.5  # ratio of one third of a stretch to the third before
     if cell.cutting.by_engagement:
         return Residue("no statement", np.nan, teeth=False)
     tool = cell.tool
     period = 2.0 * np.pi / (tool.spindle_speed * tool.teeth)
     feed_per_tooth = path_of(cell).feed_rate * period
-    limit = max(CHATTERS, GRID_NOISE * cell.stock.grid_step / max(feed_per_tooth, 1e-12))
+    limit = max(CHATTERS, grid_noise * cell.stock.grid_step / max(feed_per_tooth, 1e-12))
     unequal = tool.teeth if np.ptp(tool.radii) > 0.0 or not has_uniform_pitch(tool) else 0
     worst, grows, seconds = (-1.0, 0.0), False, result.time  # residue, time of its place
     cuts = result.volume > 0.0
@@ -612,7 +612,7 @@ def residue_of(cell: Cell, result: PassResult) -> Residue:
         at_teeth = np.stack([np.interp(teeth, time, result.deflection[first:last, k]) for k in range(2)], 1)
         change = np.diff(at_teeth, 4, axis=0) / (16.0 * feed_per_tooth)  # a motion that alternates counts whole
         early, middle, late = _medians(change, unequal)
-        if late > sure * limit and late > GROWS * middle > GROWS**2 * early:
+        if late > sure * limit and late > growth * middle > growth**2 * early:
             grows, worst = True, max(worst, (late, float(time[-1])))
         windows = np.array_split(change, max(1, teeth.size // FEWEST_TEETH))
         for k, thirds in enumerate(_medians(window, unequal) for window in windows):

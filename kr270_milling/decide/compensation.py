@@ -3,25 +3,29 @@
 from __future__ import annotations
 
 import contextlib
+import dataclasses
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import TypeVar
 
 import numpy as np
 
+from kr270_milling.base.column import computed
 from kr270_milling.base.errors import MillingError
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import PLANNED, ScoredPass, compensated, compensator, long_pass, simulate
-from kr270_milling.cell.models import path_of
+from kr270_milling.cell.models import path_of, removal_of
 from kr270_milling.cell.plant import DIVERGED, Plant
+from kr270_milling.cell.stage import Removal
 from kr270_milling.decide.check import Checked, check
-from kr270_milling.decide.decision import ENOUGH, Decision, decided
+from kr270_milling.decide.check_arm import backlash_statement
+from kr270_milling.decide.check_cut import spring_back
+from kr270_milling.decide.decision import CAUTION, ENOUGH, NO, YES, Decision, Limit, decided, limits
 from kr270_milling.decide.findings import Finding, violation
 from kr270_milling.decide.levers import QUICK, scheduled
-from kr270_milling.decide.limits import Limit, limits
-from kr270_milling.decide.load_reversals import backlash_statement
-from kr270_milling.decide.part.assessment import PartAssessment, assess_all
+from kr270_milling.decide.part.assessment import PartAssessment, assess_all, judge, um_text
 from kr270_milling.decide.programs.written import written_pass, written_trajectory
-from kr270_milling.decide.tolerance import judge, um_text
 from kr270_milling.decide.verdict import (
     CHOOSING_SEED,
     NO_METHOD,
@@ -34,9 +38,9 @@ from kr270_milling.decide.verdict import (
 )
 from kr270_milling.path.trajectory import Trajectory
 from kr270_milling.physics.compensation.compensator import Compensator
-from kr270_milling.physics.compensation.limiting import Limited
 from kr270_milling.physics.compensation.method import Method
 from kr270_milling.physics.compensation.methods import BEST
+from kr270_milling.physics.compensation.revision import Limited
 from kr270_milling.physics.motion.scores import Scores
 
 
@@ -137,7 +141,8 @@ def compensate(
     if judged and judged.within is not None and judged.within < ENOUGH * robots and checked.may_be_run:
         with progress("limits"):
             program = written_trajectory(cell, revised.reference, motion)
-            rows = limits(cell, program, max(2, robots // DRAWN_OF))
+            # six robots of each unknown know the larger shares to a fifth
+            rows = limits(cell, program, max(2, robots // 5))
     shares = cell.uncertainty.least_backlash, cell.uncertainty.backlash
     backlash = backlash_statement(cell.arm.backlash, shares, checked.load_reversals, bool(judged))
     decision = decided(before, after, revised.name, checked, judged, comparison, backlash, rows)
@@ -188,7 +193,6 @@ def _verdict(
 
 
 FORMER, PROGRAMMED = "former", "as_programmed"  #: names of a program that stays, and of one without a correction
-DRAWN_OF = 8  #: robots of the verdict for one robot of each unknown: its passes take half as long as the verdict
 
 
 def unlike(planned: Scores, written: Scores, tolerance: float) -> list[Finding]:
@@ -210,3 +214,95 @@ def limit_sentence(part: Limited, by: Compensator) -> str:
     if by.learner is None or part.missing >= part.wanted or by.learner.inertia(part.time) < 0.5 * part.wanted:
         return part.sentence
     return f"{part.sentence}; in reach at about {100 * part.feed_share:.0f} % of the programmed feed there"
+
+
+Done = TypeVar("Done")
+
+
+def in_turn(
+    cells: Sequence[Cell], job: Callable[[Cell], Done], passed: Callable[[Done], ScoredPass | None]
+) -> list[tuple[Cell, Done]]:
+    """Do a job for the tools of a program in their order; a cell without other tools stays unchanged.
+
+    passed: the pass of a job, whose workpiece the next tool begins with; None: the pass must not be run, and the tool
+    leaves its programmed part. Returns each cell, on its workpiece, and the result of its job.
+    """
+    done: list[tuple[Cell, Done]] = []
+    earlier: tuple[Removal, ...] = cells[0].stage.earlier if cells[0].stage else ()
+    for next_cell in cells:
+        cell = next_cell.after(earlier)
+        result = job(cell)
+        done.append((cell, result))
+        if cell is not cells[-1] and len(done) < len(cells):
+            earlier += (_removal(cell, passed(result)),)
+    return done
+
+
+def _removal(cell: Cell, ran: ScoredPass | None) -> Removal:
+    """Return the material that the tool of a cell removes in a pass; None: on its programmed path."""
+    programmed = removal_of(cell)
+    if ran is None:
+        return programmed
+    actual = ran.result.actual
+    same_place = 1e-9  # [m]
+    moved = np.linalg.norm(np.diff(actual, axis=0), axis=1) > same_place
+    actual = np.ascontiguousarray(actual[np.concatenate([[True], moved])])
+    return dataclasses.replace(programmed, actual=actual, spring_back=spring_back(cell, ran))
+
+
+@dataclass(frozen=True)
+class DecisionOnTools:
+    """The decision on a program with several tools: that of the worst tool."""
+
+    tools: tuple[tuple[str, Decision], ...]  #: decisions by name of the tool, in the order of the program
+
+    @classmethod
+    def of(cls, jobs: Sequence[tuple[Cell, Compensated]]) -> DecisionOnTools:
+        """The decision on the compensations of all tools; jobs: as ``in_turn`` returns them."""
+        return cls(tuple((cell.stage.tool, done.decision) for cell, done in jobs if cell.stage))
+
+    @computed("decision")
+    def level(self) -> str:
+        """``yes``, ``caution`` or ``no``. A tool without a wall or floor that stays is judged by its stops alone."""
+        levels = [tool.level for _, tool in self.tools if tool.level == NO or not math.isnan(tool.compensated.error)]
+        return next((level for level in (NO, CAUTION, YES) if level in levels), CAUTION)
+
+    @property
+    def worst(self) -> tuple[str, Decision]:
+        """The tool that decides: of those of this level the first with a stop, else that with the largest share."""
+        same = [pair for pair in self.tools if pair[1].level == self.level]
+        shares = [math.inf if tool.stops else np.nan_to_num(tool.compensated.share, nan=-1.0) for _, tool in same]
+        return same[int(np.argmax(shares))]
+
+    @property
+    def exit_code(self) -> int:
+        """0, or 1 for ``no``."""
+        return int(self.level == NO)
+
+    @computed("may_be_run")
+    def may_be_run(self) -> bool:
+        """Return whether no tool has a stop."""
+        return all(tool.may_be_run for _, tool in self.tools)
+
+    @computed("deciding_tool")
+    def _deciding_tool(self) -> str:
+        return self.worst[0]
+
+    @computed("sentence")
+    def sentence(self) -> str:
+        """Return the reason, with the name of the tool."""
+        name, decision = self.worst
+        return f"{name}: {decision.sentence}"
+
+    @property
+    def text(self) -> str:
+        """Return level and sentence in one line."""
+        return f"decision: {self.level}: {self.sentence}"
+
+    def lines(self, tool: str = "") -> list[str]:
+        """The decision, then the lines of each tool, or of one."""
+        lines = [self.text]
+        for name, one in self.tools:
+            if tool in ("", name):
+                lines += [f"{name}: {line}" for line in (f"{one.level}: {one.sentence}", *one.lines()[1:])]
+        return lines

@@ -202,6 +202,7 @@ class Place:
     line: int | None = None  #: in the file of the tool path
     feature: str | None = None  #: feature of the part
     position_mm: tuple[float, float, float] | None = None  #: place of the tool tip, workpiece frame
+    called: str | None = None  #: file and line of a sub-program that ``line`` calls, such as "O7.nc, line 3"
 
 
 @dataclass(frozen=True)
@@ -225,7 +226,8 @@ class Finding:
     def text(self) -> str:
         """Return one line, as every output prints it."""
         times = "" if self.count == 1 else f", and {self.count - 1} more of the kind"
-        line = "" if self.where.line is None else f" (line {self.where.line})"
+        called = f": {self.where.called}" if self.where.called else ""
+        line = "" if self.where.line is None else f" (line {self.where.line}{called})"
         return f"{self.sentence}{line}{times}. {self.advice}"
 
 
@@ -324,5 +326,7 @@ def placed(path: CellPath, run: Trajectory, finding: Finding) -> Finding:
         ends, distance = np.cumsum(fed.toolpath.block_length), fed.distance[min(point or 1, len(fed.distance)) - 1]
         same_place = 1e-9  # [m], rounding of distances along a path
         block = int(np.clip(np.searchsorted(ends, distance - same_place), 1, len(ends) - 1))
-    line, feature = int(fed.toolpath.line[block]), fed.toolpath.features[int(fed.toolpath.feature[block])]
-    return replace(finding, where=Place(point, line or None, feature or None, (x, y, z)))
+    blocks = fed.toolpath
+    line, feature = int(blocks.line[block]), blocks.features[int(blocks.feature[block])]
+    called = blocks.program.places[int(blocks.place[block])]
+    return replace(finding, where=Place(point, line or None, feature or None, (x, y, z), called or None))

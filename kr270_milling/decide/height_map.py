@@ -121,33 +121,59 @@ def _lower(grid, depth, radius, x, y, below, to_x, to_y, to_below, cleared):
     cleared = cleared and to_below <= below and flat  # the tool is nowhere deeper than at the start
     deepest = volume = 0.0
     first_i = max(int((min(x, to_x) - radius - grid.x) / step), 0)
-    for i in range(first_i, min(int((max(x, to_x) + radius - grid.x) / step) + 2, depth.shape[0])):
-        away_x = grid.x + i * step - x
-        from_j, last_j = chord(away_x, y, square, grid.y, step)
-        to_from, to_last = chord(away_x - move_x, to_y, square, grid.y, step)
-        j = max(min(from_j, to_from) - 2, grid.first[i]) - 1
-        stop = min(max(last_j, to_last) + 3, grid.end[i])
-        while j + 1 < stop:
-            j += 1
-            if cleared and from_j + 2 <= j <= last_j - 2:
-                j = last_j - 2
-                continue
-            before = grid.depth[i, j]
-            if max(before, depth[i, j]) + ROUNDING >= most:
-                continue
-            away_y = grid.y + j * step - y
-            along, beside = 0.0, away_x**2 + away_y**2
-            if way > VERTICAL:
-                along = (away_x * move_x + away_y * move_y) / way
-                beside -= along**2 * way
-            tip = _deepest(along, beside, way, square, below, to_below)
-            if not flat and tip > before:
-                tip = _deepest_of_profile(grid, along, beside, way, radius, below, to_below, before)
-            if max(before, depth[i, j]) + ROUNDING < tip:
-                deepest = max(deepest, tip - before)
-                volume += (tip - before) * step**2
-                depth[i, j] = tip
+    end_i = max(min(int((max(x, to_x) + radius - grid.x) / step) + 2, depth.shape[0]), first_i)
+    rim = np.empty((4, end_i - first_i), np.int32)
+    _rim(grid, square, x, y, move_x, move_y, cleared, first_i, rim)
+    for i in range(first_i, end_i):
+        n, away_x = i - first_i, grid.x + i * step - x
+        for part in range(0, 4, 2):
+            for j in range(max(rim[part, n], grid.first[i]), min(rim[part + 1, n] + 1, grid.end[i])):
+                before = grid.depth[i, j]
+                if max(before, depth[i, j]) + ROUNDING >= most:
+                    continue
+                away_y = grid.y + j * step - y
+                along, beside = 0.0, away_x**2 + away_y**2
+                if way > VERTICAL:
+                    along = (away_x * move_x + away_y * move_y) / way
+                    beside -= along**2 * way
+                tip = _deepest(along, beside, way, square, below, to_below)
+                if not flat and tip > before:
+                    tip = _deepest_of_profile(grid, along, beside, way, radius, below, to_below, before)
+                if max(before, depth[i, j]) + ROUNDING < tip:
+                    deepest = max(deepest, tip - before)
+                    volume += (tip - before) * step**2
+                    depth[i, j] = tip
     return deepest, volume
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def _rim(grid, square, x, y, move_x, move_y, cleared, first_i, rim):
+    """Fill the nodes of each column that a move of at most one node may lower: two ranges, (4, n), last ones included.
+
+    cleared: the circle about (x, y) is as deep; the ranges are then below and above the circle, else the first has all.
+    An end of the chord that is not farthest at an end of the move has a slack of two nodes, and each has that of a
+    rounding.
+    """
+    scale, tiny = 1.0 / grid.step, 1e-6
+    for n in range(rim.shape[1]):
+        u = grid.x + (first_i + n) * grid.step - x
+        w = u - move_x
+        rest, to_rest = square - u * u, square - w * w
+        half, to_half = np.sqrt(max(rest, 0.0)), np.sqrt(max(to_rest, 0.0))
+        meets, to_meets = rest > 0.0, to_rest > 0.0
+        low, high = (y - half - grid.y) * scale, (y + half - grid.y) * scale
+        to_low, to_high = (y + move_y - to_half - grid.y) * scale, (y + move_y + to_half - grid.y) * scale
+        both = meets and to_meets and cleared
+        down = both and (move_y * half - u * move_x) * (move_y * to_half - w * move_x) > 0.0
+        up = both and (move_y * half + u * move_x) * (move_y * to_half + w * move_x) > 0.0
+        least = min(low if meets else np.inf, to_low if to_meets else np.inf) - (tiny if down else 2.0)
+        most = max(high if meets else -np.inf, to_high if to_meets else -np.inf) + (tiny if up else 2.0)
+        beside = not (meets and cleared)
+        none = not (meets or to_meets)
+        rim[0, n] = np.int32(0 if none else np.ceil(least))
+        rim[1, n] = np.int32(-1 if none else np.floor(most if beside else low + tiny))
+        rim[2, n] = np.int32(0 if beside else max(np.ceil(high - tiny), np.floor(low + tiny) + 1.0))
+        rim[3, n] = np.int32(-1 if beside else np.floor(most))
 
 
 @njit(cache=True, inline="always", nogil=True)

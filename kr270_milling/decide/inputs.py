@@ -15,13 +15,12 @@ from kr270_milling.decide.findings import Finding, violation
 from kr270_milling.path.cam.comments import AXIAL_KINDS
 from kr270_milling.path.toolpath import Toolpath
 from kr270_milling.physics.cutting import LinearEdgeLaw
-from kr270_milling.physics.cutting.materials import materials
+from kr270_milling.physics.cutting.laws import materials
 
 #: [rad] assumed: usual angles of a spindle from the axis of the flange, and how far bracket and calibration miss them
 MOUNTINGS, OFF_MOUNTING = np.radians([0.0, 30.0, 45.0, 60.0, 90.0]).tolist(), math.radians(5.0)
 SAME_PLACE, SAME_ANGLE = 0.1e-3, 0.01  #: [m], [deg] assumed: rounding and calibration of one frame
 BEHIND = 1e-3  #: [m] that a calibrated tip may be behind the flange: the wrist is there
-MOST_OUTSIDE = 0.5  #: share of the cutting moves outside of the stock; leads and overlaps take less
 
 
 def input_violations(cell: Cell) -> list[Finding]:
@@ -199,6 +198,7 @@ def _along_axis(cell: Cell, path: Toolpath) -> bool:
 
 def _outside(cell: Cell, path: Toolpath) -> list[Finding]:
     """Features whose cutting moves never pass over the stock, and a path that is outside of the stock mostly."""
+    most_outside = 0.5  # share of the cutting moves outside of the stock; leads and overlaps take less
     low, high, radius = cell.stock.min, cell.stock.max, float(cell.tool.radii.max())
     places = 100_000  # of a path, at most
     distance = np.linspace(0.0, path.length, 2 + min(places, int(4.0 * path.length / radius)))
@@ -215,7 +215,7 @@ def _outside(cell: Cell, path: Toolpath) -> list[Finding]:
             nearest = float(away[mine].min()) - radius
             findings.append(violation("outside the stock", nearest, 0.0, block=int(block[first]), subject=name))
     share = float(np.mean(outside[cuts])) if cuts.any() else 0.0
-    if not findings and share > MOST_OUTSIDE:
+    if not findings and share > most_outside:
         first = int(np.flatnonzero(cuts & outside)[0])
-        findings.append(violation("stock too small", share, MOST_OUTSIDE, block=int(block[first])))
+        findings.append(violation("stock too small", share, most_outside, block=int(block[first])))
     return findings

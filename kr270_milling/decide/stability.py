@@ -6,7 +6,7 @@ Every distinct engagement of a feature (angles, feed and its direction) is evalu
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,9 +22,7 @@ from kr270_milling.decide.findings import Finding, violation
 from kr270_milling.physics.motion.dynamics import ModalModel
 from kr270_milling.physics.motion.stability import DEEPEST, Lobe, Modes, has_uniform_pitch, stability_limit
 
-ANGLE = math.radians(10.0)  #: to which angles of engagement are rounded
 FULL = math.radians(75.0)  #: beyond this angle a tooth is taken as cutting to 90 deg, where its chip ends
-DIRECTION = math.radians(30.0)  #: to which feed directions are rounded
 FEWEST_TEETH = 10  #: teeth of an engagement; vibration has no time to grow in fewer
 POSTURES = 0.025  #: [m], between two places whose postures are modelled; the modes change little in between
 
@@ -111,8 +109,8 @@ class Stability:
         return f"stability: arm: {known}; tool and spindle: unknown (no tool.modes)"
 
 
-def stability_statement(cell: Cell, progress: Callable[[int, int], None] | None = None) -> Stability:
-    """The statement of a cell whose arm can follow the path; progress(done, total): along the path."""
+def stability_statement(cell: Cell) -> Stability:
+    """The statement of a cell whose arm can follow the path."""
     with_tool = bool(cell.tool.modes.frequency.size)
     if not cell.tool.has_flat_end:
         return Stability((), with_tool, shape=f"tool.type is {cell.tool.type}")
@@ -120,7 +118,7 @@ def stability_statement(cell: Cell, progress: Callable[[int, int], None] | None 
         return Stability((), with_tool, shape="the tool is tilted")
     if not has_uniform_pitch(cell.tool):
         return Stability((), with_tool, uniform_pitch=False)
-    return Stability(tuple(feature_limits(cell, progress=progress)), with_tool)
+    return Stability(tuple(feature_limits(cell)), with_tool)
 
 
 def chatter_violations(stability: Stability, time: np.ndarray) -> list[Finding]:
@@ -168,9 +166,7 @@ def modes_of(cell: Cell, arm: bool = True, model: ModalModel | None = None) -> M
     )
 
 
-def feature_limits(
-    cell: Cell, arm: bool = True, progress: Callable[[int, int], None] | None = None
-) -> list[FeatureLimit]:
+def feature_limits(cell: Cell, arm: bool = True) -> list[FeatureLimit]:
     """The engagement of each feature with the largest depth against its limit, in the order of the path.
 
     arm: False leaves out the modes of the arm. Raises ParameterError for a variable pitch.
@@ -182,7 +178,7 @@ def feature_limits(
         raise ParameterError("path.file", cell.path.file, "upright: the limits do not hold for a tilted tool")
     if not has_uniform_pitch(tool):
         raise ParameterError("tool.pitch_deg", np.degrees(tool.pitch).tolist(), "uniform: the limit supposes one delay")
-    arcs = arcs_along(path_of(cell), cell.earlier, progress)
+    arcs = arcs_along(path_of(cell), cell.earlier)
     groups = _groups(arcs, FEWEST_TEETH * path_of(cell).feed_rate * 2.0 * np.pi / (tool.spindle_speed * tool.teeth))
     limits: list[FeatureLimit] = []
     models: dict[tuple, ModalModel] = {}
@@ -198,10 +194,12 @@ def _groups(arcs: Arcs, shortest: float) -> dict[tuple, np.ndarray]:
 
     Where no engagement of a feature lasts so long, all count.
     """
-    entry = np.where(arcs.entry < -FULL, -9, np.round(arcs.entry / ANGLE)).astype(int)
-    leave = np.where(arcs.exit > FULL, 9, np.round(arcs.exit / ANGLE)).astype(int)
+    direction = math.radians(30.0)  # unit to which feed directions are rounded
+    angle = math.radians(10.0)  # unit to which angles of engagement are rounded
+    entry = np.where(arcs.entry < -FULL, -9, np.round(arcs.entry / angle)).astype(int)
+    leave = np.where(arcs.exit > FULL, 9, np.round(arcs.exit / angle)).astype(int)
     entry, leave = np.minimum(entry, 8), np.maximum(leave, np.minimum(entry, 8) + 1)
-    turn = np.round(arcs.heading / DIRECTION).astype(int) % round(2.0 * np.pi / DIRECTION)
+    turn = np.round(arcs.heading / direction).astype(int) % round(2.0 * np.pi / direction)
     feed = 1e-4  # [m/s], to which feeds are rounded
     keys = np.column_stack([arcs.feature, entry, leave, turn, np.round(arcs.feed / feed).astype(int)])
     groups: dict[tuple, list[int]] = {}

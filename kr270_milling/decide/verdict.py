@@ -26,7 +26,7 @@ from kr270_milling.cell.jobs import (
 )
 from kr270_milling.cell.models import arm_model_of, cut_of, flat_floors, path_of
 from kr270_milling.cell.plant import DIVERGED, Plant, coarser, cores, imperfect_arm, imperfect_course, perturbed
-from kr270_milling.decide.tolerance import NORMAL_ERROR, PATH_DEVIATION, SURFACE_ERROR, Gauge, gauge_of
+from kr270_milling.decide.part.assessment import NORMAL_ERROR, PATH_DEVIATION, SURFACE_ERROR, Gauge, gauge_of
 from kr270_milling.path.trajectory import Trajectory
 from kr270_milling.physics.compensation.methods import LEARNED, methods
 from kr270_milling.physics.motion.dynamics import ArmModel
@@ -39,9 +39,7 @@ HELPS, INDIFFERENT, UNTRUSTED = "helps", "does not matter", "cannot be trusted h
 LEVELS = (0.05, 0.5, 0.95)
 SAMPLES = 32
 FEWEST = 8
-LEARNING = 8  #: time of the learning of a plant, as a multiple of that of its other passes
 SAME = 0.1  #: changes of the largest deviation by less than this share are none
-FAILING = 0.05  #: share of robots that may fail or become worse on the compensated trajectory
 SURE = 0.9  #: confidence with which more than this share do: 2 of 10, 3 of 20, 4 of 32 robots, and never 1 of 3 or more
 TRACKED = f"{LEARNED.name}, with a tracker"  #: passes of the plant itself are measured and learned from
 CHOOSING_SEED = 1_000_003  #: of the robots that compare programs, which neither a verdict nor ``robust`` draws
@@ -190,7 +188,7 @@ def _expected(cell: Cell, references: dict[str, Trajectory]) -> dict[str, float]
     return dict(zip(references, np.quantile(rows, 0.95, axis=0).tolist(), strict=True))
 
 
-def _each_robot(
+def each_robot(
     nominal: Cell, robots: int, seed: int, job: Callable[[int, Cell], Row], count: Callable[[int], object]
 ) -> list[Row]:
     """Draw robots and return the result of a job for each, in the order of drawing; count(done): after each robot."""
@@ -242,7 +240,8 @@ def monte_carlo(
     comparing = samples if straight else FEWEST  # plants that also run the other methods
 
     def work(number: int) -> int:
-        return number + LEARNING * min(number, learning)
+        # time of the learning of a plant, as a multiple of that of its other passes
+        return number + 8 * min(number, learning)
 
     def count(done: int) -> None:
         if progress:
@@ -256,7 +255,7 @@ def monte_carlo(
             rows = run_sample(plant, target, (target, *chosen), gauge)
             return rows, _tracked(cell, plant, gauge) if k < learning else None
 
-        return _each_robot(nominal, samples, seed, run, count)
+        return each_robot(nominal, samples, seed, run, count)
 
     quick, difference = coarser(cell), None
     robots = drawn(quick)
@@ -267,7 +266,7 @@ def monte_carlo(
         def full_error(_: int, robot: Cell) -> float:
             return float(run_sample(robot, target, [revised], gauge, 1)[0, 0])
 
-        full = np.array(_each_robot(cell, min(CHECKED, samples), seed, full_error, lambda done: None))
+        full = np.array(each_robot(cell, min(CHECKED, samples), seed, full_error, lambda done: None))
         both = rows[: len(full), 1, 0]
         alike = np.isnan(full) & np.isnan(both)  # fails either way
         difference = float(np.where(alike, 0.0, np.abs(full - both)).max())
@@ -296,8 +295,9 @@ def judge_plants(
     matter. 90 % of the robots change by less than 10 %: does not matter. Surely more than 5 % become worse: cannot be
     trusted. Half of them gain less than 10 %: does not matter. Else it helps. See ``surely_more``.
     """
+    failing = 0.05  # share of robots that may fail or become worse on the compensated trajectory
     lost = np.isnan(compensated) & np.isfinite(original)
-    if surely_more(int(lost.sum()), lost.size, FAILING):
+    if surely_more(int(lost.sum()), lost.size, failing):
         return UNTRUSTED, f"{lost.sum()} of {lost.size} robots fail on the compensated trajectory"
     both = np.isfinite(original) & np.isfinite(compensated)
     if not both.any():
@@ -311,7 +311,7 @@ def judge_plants(
     if low > 1.0 - SAME and high < 1.0 + SAME:
         return INDIFFERENT, share
     worse = int(np.sum(after >= before))
-    if surely_more(worse, after.size, FAILING):
+    if surely_more(worse, after.size, failing):
         return UNTRUSTED, f"{share}: {worse} of {after.size} robots become worse"
     if middle > 1.0 - SAME:
         return INDIFFERENT, share
@@ -334,20 +334,19 @@ def drawn_errors(
     robots: int,
     seed: int,
     count: Callable[[int], object] = lambda done: None,
-    gauge: Gauge | None = None,
     first: int = 0,
 ) -> np.ndarray:
     """Errors [m] of drawn robots along references of a program, and their shares of the tolerance, (robots, k, 2).
 
-    count(done): called after each robot; gauge: default that of the cell; first: number of the first pass of a robot.
+    count(done): called after each robot; first: number of the first pass of a robot.
     """
     nominal, target = coarser(cell), path_of(cell).target
-    gauge = gauge or gauge_of(nominal)
+    gauge = gauge_of(nominal)
 
     def errors(_: int, robot: Cell) -> np.ndarray:
         return run_sample(robot, target, references, gauge, first)
 
-    return np.array(_each_robot(nominal, robots, seed, errors, count))
+    return np.array(each_robot(nominal, robots, seed, errors, count))
 
 
 def run_sample(

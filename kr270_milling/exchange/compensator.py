@@ -33,7 +33,6 @@ from kr270_milling.physics.robot.kinematics import forward, joint_motion
 
 SHARE = 0.1  #: share of the speed and acceleration limits of the joints, in approach and run-out; 10 % as in T1
 LEAST = 0.1  #: [s], of approach and run-out
-SMOOTH = 1e-9  #: [m] by which a jump of velocity or acceleration at a knot may move the path
 #: largest speed and acceleration of 10 u^3 - 15 u^4 + 6 u^5, from rest to rest
 QUINTIC_SPEED, QUINTIC_ACCELERATION = 15 / 8, 10 / math.sqrt(3)
 
@@ -84,6 +83,7 @@ def _rates(
 
     The planned orientation turns at a constant rate from knot to knot; a knot takes the mean of both rates.
     """
+    smooth = 1e-9  # [m] by which a jump of velocity or acceleration at a knot may move the path
     turn, times = placed.place.rotation, reference.time_ns
     orientation = Rotation.from_quat(reference.quaternion)
     left, right = (reference.locate(times, side) for side in ("left", "right"))
@@ -92,8 +92,8 @@ def _rates(
     speeds = [reference.sample_velocity(times, side) for side in ("left", "right")]
     bends = [reference.sample_acceleration(times, side) for side in ("left", "right")]
     step = steps.max(axis=1)
-    corner = np.linalg.norm(speeds[1] - speeds[0], axis=1) * step / 8 > SMOOTH
-    kink = corner | (np.linalg.norm(bends[1] - bends[0], axis=1) * step**2 / 64 > SMOOTH)
+    corner = np.linalg.norm(speeds[1] - speeds[0], axis=1) * step / 8 > smooth
+    kink = corner | (np.linalg.norm(bends[1] - bends[0], axis=1) * step**2 / 64 > smooth)
     velocity = np.hstack([np.mean(speeds, axis=0) @ turn.T, np.mean(rates, axis=0) @ turn.T])
     change = (rates[1] - rates[0]) / steps.mean(axis=1)[:, None]
     acceleration = np.hstack([np.mean(bends, axis=0) @ turn.T, change @ turn.T])

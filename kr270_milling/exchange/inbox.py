@@ -25,8 +25,6 @@ from kr270_milling.physics.motion.periods import Clock
 PositionQuaternion = tuple[np.ndarray, np.ndarray]
 FrameWrench = tuple[str, np.ndarray]
 GAP_NS = 100_000_000  # longest time between two messages of a pass without a report
-START_TOLERANCE = 0.5e-3  #: [m], from the first point of the reference, in which a robot with another clock waits
-SEEK_NS = 1_000_000_000  # within this time of the pass, a pose beyond the tolerance must follow
 BREAK_NS = 2_000_000_000  #: without progress, after which a pass is over; assumed: longer than any lag of a controller
 FAR = 5e-3  # [m], from the reference; far above the deflection of an arm
 
@@ -168,14 +166,17 @@ class PassInbox:
 
     def _start_of(self, sample: PoseSample) -> int | None:
         """Take a pose before the start; return the stamp [ns] of the start where the tool has left the first point."""
+        # [m], from the first point of the reference, in which a robot with another clock waits
+        seek_ns = 1_000_000_000  # within this time of the pass, a pose beyond the tolerance must follow
+        start_tolerance = 0.5e-3
         self._distance = float(np.linalg.norm(sample.position - self._reference.position[0]))
-        if self._announced or self._distance <= START_TOLERANCE:
+        if self._announced or self._distance <= start_tolerance:
             self._waiting.append(sample)
         elif self._waiting:
-            times = np.arange(0, min(SEEK_NS, self._reference.duration_ns) + 1, SEEK_NS // 1000)
+            times = np.arange(0, min(seek_ns, self._reference.duration_ns) + 1, seek_ns // 1000)
             off = np.linalg.norm(self._reference.sample(times) - sample.position, axis=1)
             nearest = int(np.argmin(off))
-            if off[nearest] <= START_TOLERANCE:
+            if off[nearest] <= start_tolerance:
                 self._waiting.append(sample)
                 return sample.stamp - int(times[nearest])
             self._waiting.clear()

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from kr270_milling.base.frames import OLD_TOOL, TOOL, WORKPIECE, quaternion_from_rotation
 from kr270_milling.path.trajectory import Trajectory
-from kr270_milling.physics.robot.urdf_links import Link, links_of
+from kr270_milling.physics.robot.urdf import Link, links_of
 from kr270_milling.recordings.messages.cdr import stamp_of
 from kr270_milling.recordings.messages.codec import from_bytes, named, serialise, time_fields
 from kr270_milling.recordings.messages.topics import TOPICS
@@ -25,8 +25,6 @@ OUTPUTS = {
 }
 #: topic that a scene receives, without its namespace -> type
 INPUTS = {topic.name: topic.type for topic in TOPICS if topic.scene}
-PERIOD_NS = 33_333_333  #: between two messages, 30 Hz
-PATH_POINTS = 500  #: points of a path, evenly in time, beside at most as many of its knots
 LOW, HIGH = np.array([0.03, 0.31, 0.59, 1.0]), np.array([0.90, 0.35, 0.05, 1.0])  #: colours of no and of full error
 LINE_STRIP, ARROW = 4, 0  # visualization_msgs/msg/Marker.type
 
@@ -68,7 +66,8 @@ class Scene:
             yield from self._of_the_pass(name, data, stamp_of(data) or 0)
 
     def _of_the_pass(self, name: str, data: bytes, stamp: int) -> Iterator[tuple[str, bytes]]:
-        if name == "tool_pose" and stamp < self._pose_due - PERIOD_NS or self._start_ns < self._next_ns <= stamp:
+        period_ns = 33_333_333  # between two messages, 30 Hz
+        if name == "tool_pose" and stamp < self._pose_due - period_ns or self._start_ns < self._next_ns <= stamp:
             self._fresh()  # the next pass
             self._start_ns = self._next_ns
         if name == "joint_states":
@@ -78,14 +77,14 @@ class Scene:
                 if not {*names} & {*state.names}:
                     return  # of a gripper or of another robot
                 joints = dict(zip(names, state.of(names), strict=True))
-                self._joints_due = stamp + PERIOD_NS
+                self._joints_due = stamp + period_ns
                 yield "/tf", self._transforms(stamp, joints, moving=True)
         elif name == "wrench":
             if stamp >= self._wrench_due:
-                self._wrench_due = stamp + PERIOD_NS
+                self._wrench_due = stamp + period_ns
                 self._force = from_bytes(INPUTS[name], data).wrench[:3]
         elif stamp >= self._pose_due:
-            self._pose_due = stamp + PERIOD_NS
+            self._pose_due = stamp + period_ns
             self._add_point(stamp, from_bytes(INPUTS[name], data).position)
             yield "/markers", serialise(OUTPUTS["/markers"], {"markers": self._markers(stamp)})
 
@@ -154,8 +153,9 @@ def _marker(stamp: int, name: str, kind: int, width: float, points: np.ndarray, 
 
 def path_bytes(run: Trajectory) -> bytes:
     """Return a Path along a trajectory, in its frame; every pose has the stamp of its time from the start."""
-    knots = run.time_ns[:: -(-len(run) // PATH_POINTS)]
-    times = np.union1d(knots, np.linspace(0, run.duration_ns, PATH_POINTS).astype(np.int64))
+    path_points = 500  # points of a path, evenly in time, beside at most as many of its knots
+    knots = run.time_ns[:: -(-len(run) // path_points)]
+    times = np.union1d(knots, np.linspace(0, run.duration_ns, path_points).astype(np.int64))
     turns = run.quaternion[np.searchsorted(run.time_ns, times, side="right") - 1]  # of the knot before
     poses = [
         {

@@ -70,7 +70,7 @@ class Child:
         self.log = logs / f"{self.name}.log"
         program = nodes if len(nodes) == 1 else ("milling_cell", *nodes)
         command = [sys.executable, "-m", "kr270_milling.live.nodes", *program, *arguments]
-        before = signal.pthread_sigmask(signal.SIG_BLOCK, STOPS)  # until the child has its handlers, see nodes.start
+        before = signal.pthread_sigmask(signal.SIG_BLOCK, STOPS)  # until the child has its handlers, see live.nodes
         try:
             with open(self.log, "ab") as stream:
                 self.process = subprocess.Popen(
@@ -407,7 +407,11 @@ class Graph:
         self.begin_recording(name)
         self.driver.transition("activate", CUT, deadline=UP)
         waiting = "the compensator does not know the recording"
-        until(self._is_ready, lambda: self._value("waiting_for") or waiting, 30.0)  # [s] to discover each other
+        until(
+            lambda: self._value("recording") == self._recording and not self._value("waiting_for"),
+            lambda: self._value("waiting_for") or waiting,
+            30.0,  # [s] to discover each other
+        )
         revision, passes = self._value("revision"), self._value("passes", ROBOT)
         self.driver.transition("activate", ROBOT, deadline=UP)
         self._in_pass = True
@@ -419,10 +423,6 @@ class Graph:
         self.end_recording()
         errors = tuple(e * 1e-6 for e in json.loads(self._value("remaining_error_um") or "[]"))
         return self.out / name, wall, errors, self._value("finished") == "True"
-
-    def _is_ready(self) -> bool:
-        """Return whether the compensator knows the recording and reports that a pass may start."""
-        return self._value("recording") == self._recording and not self._value("waiting_for")
 
     def begin_recording(self, name: str) -> None:
         """Open the file of the recorder."""

@@ -27,17 +27,22 @@ class Refusal:
 class ProgramTool:
     """A tool of the program, as far as its words and comments describe it."""
 
-    name: str  #: as ``path.tool`` selects it, "T1"
+    name: str  #: as ``path.tool`` selects it, "T1"; "T1_2" for a second run of T1
     description: str = ""  #: name in its comment
     diameter: float = 0.0  #: [m], 0: the program does not say
     teeth: int = 0  #: 0: the program does not say
-    line: int = 0  #: line of its first tool change
+    line: int = 0  #: line of its tool change, or where a further run begins
     cuts: int = 0  #: cutting blocks that it makes
-    last_cut: int = 0  #: line of the last of them
+    changed_as: str = ""  #: name of the tool in the program: that of the first run
     corner_radius: float = 0.0  #: [m], 0: sharp corners, or the program does not say
     kind: str = ""  #: kind of a tool that is no flat end mill; "": a flat one, or the program does not say
     inserts: bool = False  #: its comment names inserts, or a kind of mill that has inserts
     length_offset: bool = False  #: the program switches on a length for this tool (G43)
+
+    @property
+    def first(self) -> bool:
+        """Return whether this is the first run of the tool."""
+        return self.name == self.changed_as
 
     @property
     def label(self) -> str:
@@ -85,6 +90,7 @@ class SourceProgram:
     beside: float = 0.0  #: radius in the comment on the tool, by which G41 and G42 move the path [m]; 0: they do not
     work_offset: str = ""  #: the origin of the coordinates, such as "G54"
     files: tuple[str, ...] = ()  #: further files that were read: sub-programs, data of a KRL program
+    places: tuple[str, ...] = ("",)  #: lines of these files that were run, such as "O7.nc, line 3"; "": of the program
     operations: tuple[str, ...] = ()  #: names of the features with cutting moves
     read_over: tuple[tuple[str, int], ...] = ()  #: words without effect on the path, and how often there are
     #: words that another control may run in another way: kind of the finding, sentence, line

@@ -1,7 +1,7 @@
 """Time a tool path: speed along the path with limited acceleration and jerk, knots at controller steps.
 
 The tool runs through a corner if the blocks are tangent, or if the corner rounds off by less than the tolerance at
-``FAIR`` of the feed or more. At all other corners the tool stops, exactly on a controller step, so that a knot is in
+a fifth of the feed or more. At all other corners the tool stops, exactly on a controller step, so that a knot is in
 the corner. Between stops the speed is as high as the feeds, the curvature (centripetal acceleration) and S-shaped
 ramps allow. The ramps bound acceleration and jerk *along* the path; across the path only the acceleration is bounded.
 The cost is linear in the number of blocks. Where a joint would exceed its speed or acceleration, knots are delayed.

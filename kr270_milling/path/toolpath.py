@@ -1,4 +1,5 @@
-"""A tool path of a milling program: blocks with feed rates, without times; and the builder that collects blocks."""
+"""A tool path of a milling program: blocks with feed rates, without times; the builder that collects blocks;
+and the progress of a point on a path."""
 
 from __future__ import annotations
 
@@ -6,6 +7,7 @@ import dataclasses
 import functools
 import math
 from array import array
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -52,26 +54,32 @@ class Toolpath:
     drilling: np.ndarray = field(
         default_factory=lambda: np.zeros(0, bool)
     )  #: strokes of a cycle, (n,) bool; empty: none
+    place: np.ndarray = field(
+        default_factory=lambda: np.zeros(0, np.int64)
+    )  #: (n,) int64, index into ``program.places``, the lines in further files; empty: none
     program: SourceProgram = NO_PROGRAM  #: statements of the source in addition to its moves
 
     def __post_init__(self):
         position = np.array(self.position, float)
         if position.ndim != 2 or position.shape[1] != 3 or len(position) < 2:
             raise ToolpathError("it needs a start and at least one move")
-        if not np.size(self.drilling):
-            object.__setattr__(self, "drilling", np.zeros(len(position), bool))
+        for name in ("drilling", "place"):
+            if not np.size(getattr(self, name)):
+                object.__setattr__(self, name, np.zeros(len(position), np.int64))
         for name in (
             "position",
             "feed",
             "rapid",
             "drilling",
+            "place",
             "line",
             "feature",
             "curvature",
             "spindle_speed",
             "quaternion",
         ):
-            kind = {"rapid": bool, "drilling": bool, "line": np.int64, "feature": np.int64}.get(name, float)
+            kinds = {"rapid": bool, "drilling": bool} | dict.fromkeys(("line", "feature", "place"), np.int64)
+            kind = kinds.get(name, float)
             values = np.array(getattr(self, name), kind)
             shape = (len(position),) + {"position": (3,), "quaternion": (4,)}.get(name, ())
             if values.shape != shape:
@@ -235,7 +243,7 @@ MOST_BLOCKS = 20_000_000
 #: columns of the blocks while they are collected
 COLUMNS: dict[str, int | slice] = {
     "position": slice(0, 3), "quaternion": slice(3, 7), "feed": 7, "curvature": 8, "spindle_speed": 9, "rapid": 10,
-    "line": 11, "feature": 12, "drilling": 13,
+    "line": 11, "feature": 12, "drilling": 13, "place": 14,
 }  # fmt: skip
 
 
@@ -245,6 +253,7 @@ class PathBuilder:
     def __init__(self, source):
         self.source = source
         self.line = 1  #: current line of the source
+        self.place = 0  #: of the current line in a further file
         self.features: dict[str, int] = {"": 0}
         self.feature = 0  #: feature of the next moves
         self.spindle_speed = 0.0  #: [rad/s]
@@ -255,7 +264,7 @@ class PathBuilder:
         self._blocks = array("d")
 
     def __len__(self) -> int:
-        return len(self._blocks) // 14
+        return len(self._blocks) // 15
 
     def name_feature(self, name: str) -> None:
         """Start a feature: the next moves belong to it."""
@@ -269,22 +278,26 @@ class PathBuilder:
         if len(self) >= MOST_BLOCKS:
             raise InputError(self.source, f"the path has more than {MOST_BLOCKS} blocks", line)
         self.last, self._last_quaternion = position, self.quaternion
-        numbers = (feed, curvature, self.spindle_speed, rapid, line, self.feature, self.drilling)
+        numbers = (feed, curvature, self.spindle_speed, rapid, line, self.feature, self.drilling, self.place)
         self._blocks.extend((*position, *self.quaternion, *numbers))
 
-    def straight_moves(self, ends: list[tuple[float, float, float, int]], feed: float) -> None:
-        """Append straight blocks at one feed [m/s] to points x, y, z [m], each with its line."""
-        state, rest = self._last_quaternion, (self.feature, self.drilling)
-        numbers, blocks, last = (feed, 0.0, self.spindle_speed, False), self._blocks, self.last
-        for x, y, z, line in ends:
-            if (x, y, z) != last:
-                last = x, y, z
-                blocks.extend((x, y, z, *state, *numbers, line, *rest))
+    def moves(self, ends: list, lines: Iterable[int], feed: float, curvature: float = 0.0) -> None:
+        """Append feed blocks to points [m], each with its line; the orientation is that of the last block."""
+        if len(self) + len(ends) > MOST_BLOCKS:
+            raise InputError(self.source, f"the path has more than {MOST_BLOCKS} blocks", self.line)
+        rest = 0.0, 0.0, self.feature, self.drilling, self.place
+        numbers = array("d", (*self._last_quaternion, feed, curvature, self.spindle_speed, *rest))
+        extend, last, place = self._blocks.extend, self.last, 8  # of the line in ``numbers``
+        for end, line in zip(ends, lines):  # noqa: B905, the line of an arc is repeated without an end
+            if end != last:
+                last, numbers[place] = end, line
+                extend(end)
+                extend(numbers)
         self.last = last
 
     def columns(self) -> dict[str, np.ndarray]:
         """Return the blocks so far, by the names of the fields of a Toolpath."""
-        blocks = np.frombuffer(self._blocks).reshape(-1, 14)
+        blocks = np.frombuffer(self._blocks).reshape(-1, 15)
         return {name: blocks[:, column] for name, column in COLUMNS.items()}
 
     def build(self, program: SourceProgram = NO_PROGRAM) -> Toolpath:
@@ -292,7 +305,7 @@ class PathBuilder:
         columns = self.columns()
         away = np.isinf(columns["position"][:, 2])
         if away.any():
-            blocks = _taken_away(np.frombuffer(self._blocks).reshape(-1, 14), away)
+            blocks = _taken_away(np.frombuffer(self._blocks).reshape(-1, 15), away)
             moves = np.append(True, np.any(np.diff(blocks[:, :7], axis=0) != 0, axis=1))
             columns = {name: blocks[moves, column] for name, column in COLUMNS.items()}
         line, feature = columns["line"], columns["feature"].astype(np.int64)
@@ -357,3 +370,44 @@ def cut_features(columns: dict[str, np.ndarray]) -> list[int]:
     """Return the numbers of the named features with cutting moves, in the order of the program."""
     numbers = np.unique(columns["feature"][columns["rapid"] == 0]).astype(int).tolist()
     return [k for k in numbers if k][:200]  # with more names, the comments do not name features
+
+
+class PathProgress:
+    """Place on the straight lines between points (n, 3) [m]; points at rest have one place.
+
+    reach [m]: a point farther from the path gives no progress.
+    """
+
+    def __init__(self, position: np.ndarray, reach: float = 1e-3):
+        step = np.linalg.norm(np.diff(position, axis=0), axis=1)
+        self.moved = np.concatenate([[True], step > 0.0])  #: (n,) bool: points that do not repeat the one before
+        self.distance = np.concatenate([[0.0], np.cumsum(step[step > 0.0])])  #: [m], of the points that moved
+        self.progress = 0.0  #: [m] along the path
+        self._point = position[self.moved]
+        self.reach = reach
+
+    @property
+    def length(self) -> float:
+        """Length of the path [m]."""
+        return float(self.distance[-1])
+
+    def advance(self, point: np.ndarray) -> float:
+        """Move the progress to the projection of the point, and return the distance [m] of the point from it."""
+        window = 10e-3  # [m], length of the path ahead of the last progress that is searched
+        first = max(0, int(np.searchsorted(self.distance, self.progress, side="right")) - 1)
+        last = min(int(np.searchsorted(self.distance, self.progress + window)), len(self.distance) - 1)
+        first = min(first, len(self.distance) - 2)
+        last = max(last, first + 1)
+        start, along = self._point[first:last], np.diff(self._point[first : last + 1], axis=0)
+        length = np.diff(self.distance[first : last + 1])
+        share = np.clip(np.einsum("ij,ij->i", point - start, along) / length**2, 0.0, 1.0)
+        reached = np.maximum(self.distance[first:last] + share * length, self.progress)
+        share = (reached - self.distance[first:last]) / length
+        distance = np.linalg.norm(point - start - share[:, None] * along, axis=1)
+        least = np.concatenate([[np.inf], distance, [np.inf]])
+        # of two places that are equally near within 20 um, the earlier place is the progress
+        local = (distance <= least[:-2]) & (distance <= least[2:]) & (distance <= distance.min() + 2e-5)
+        chosen = int(np.argmax(local))
+        if distance[chosen] <= self.reach:
+            self.progress = float(reached[chosen])
+        return float(distance[chosen])

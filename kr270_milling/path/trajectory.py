@@ -1,4 +1,4 @@
-"""A sampled trajectory of the tool, and the motion of a controller between the knots.
+"""A sampled trajectory of the tool, the motion of a controller between the knots, and its file.
 
 Convention of ROS joint trajectory controllers: knots without velocities are joined by straight lines, knots with
 velocities by cubic Hermite segments. A controller therefore runs a C2 cubic spline exactly if the knots carry its
@@ -10,9 +10,12 @@ and after the last knot.
 from __future__ import annotations
 
 import copy
+import itertools
 import math
 import zlib
+from collections.abc import Iterator
 from dataclasses import dataclass
+from decimal import Decimal
 from functools import cached_property
 from typing import Literal
 
@@ -20,8 +23,12 @@ import numpy as np
 from numba import njit
 from scipy.spatial.transform import Rotation
 
-from kr270_milling.base.errors import MillingError
+from kr270_milling.base.blocks import blocks
+from kr270_milling.base.errors import InputError, MillingError
+from kr270_milling.base.files import write_files
 from kr270_milling.base.frames import abc_from_rotation, rotation_from_quaternion
+from kr270_milling.base.table import read_table
+from kr270_milling.base.units import seconds
 
 #: tcp in the workpiece frame when its axis points straight down and its x axis along the feed: diag(1, -1, -1)
 TOOL_DOWN = (1.0, 0.0, 0.0, 0.0)
@@ -58,8 +65,8 @@ class Trajectory:
         if time[0] != 0:
             raise TrajectoryError(f"the first time is {time[0]} ns, but must be 0", 0)
         _refuse(np.diff(time, prepend=-1) <= 0, "its time is not later than the one before")
-        quaternion = np.array(self.quaternion, float)
-        if quaternion.shape == (time.size, 4) and (quaternion == quaternion[0]).all():
+        quaternion = np.asarray(self.quaternion, float)
+        if quaternion.shape == (time.size, 4) and (not quaternion.strides[0] or (quaternion == quaternion[0]).all()):
             quaternion = quaternion[0]
         same = quaternion.shape == (4,)  # one row for all knots takes no memory
         quaternion = _rows("quaternion", np.atleast_2d(quaternion), 1 if same else time.size, 4)
@@ -235,16 +242,7 @@ class Trajectory:
         return Trajectory(self.time_ns, position, self.quaternion, velocity, self.frame)
 
     @classmethod
-    def straight_line(
-        cls,
-        start,
-        direction,
-        length: float,
-        feed_rate: float,
-        knot_period_s: float,
-        quaternion=TOOL_DOWN,
-        frame: str = "workpiece",
-    ) -> Trajectory:
+    def straight_line(cls, start, direction, length: float, feed_rate: float, knot_period_s: float) -> Trajectory:
         """Return a line of a length [m] at constant feed rate [m/s]; the last knot is at the exact end."""
         direction = np.asarray(direction, float)
         if not (length > 0 and feed_rate > 0 and knot_period_s > 0 and np.linalg.norm(direction) > 0):
@@ -254,7 +252,7 @@ class Trajectory:
         time_ns = np.round(np.append(np.arange(knots) * knot_period_s, duration) * 1e9).astype(np.int64)
         path = np.append(time_ns[:-1] * 1e-9 * feed_rate, length)
         unit = direction / np.linalg.norm(direction)
-        return cls(time_ns, np.asarray(start, float) + path[:, None] * unit, quaternion, None, frame)
+        return cls(time_ns, np.asarray(start, float) + path[:, None] * unit, np.array(TOOL_DOWN))
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
@@ -345,7 +343,8 @@ def _rows(name: str, array, count: int, width: int) -> np.ndarray:
     array = np.array(array, float)
     if array.shape != (count, width):
         raise TrajectoryError(f"{name} has the shape {array.shape}, but must have {(count, width)}")
-    _refuse(~np.isfinite(array).all(axis=1), f"its {name} is not finite")
+    if not np.isfinite(array).all():
+        _refuse(~np.isfinite(array).all(axis=1), f"its {name} is not finite")
     return array
 
 
@@ -372,3 +371,62 @@ def offsets(original: Trajectory, revised: Trajectory, tick_ns: int) -> tuple[np
     before, after = (rotation_from_quaternion(t.sample_orientation(time_ns)) for t in (original, revised))
     turn = abc_from_rotation(after @ np.swapaxes(before, 1, 2))
     return time_ns, revised.sample(time_ns) - original.sample(time_ns), turn
+
+
+KNOT = ("time_s", "x_mm", "y_mm", "z_mm", "qx", "qy", "qz", "qw")
+VELOCITY = ("vx_mm_per_s", "vy_mm_per_s", "vz_mm_per_s")
+JOINTS = ("a1_deg", "a2_deg", "a3_deg", "a4_deg", "a5_deg", "a6_deg")
+
+
+def write_csv(path, trajectory: Trajectory, joints=None) -> None:
+    """Write the knots, their velocities if there are any, and joint angles [rad], (n, 6), if given.
+
+    Every number but the angles is read back to the last bit.
+    """
+    header, columns = list(KNOT), [_in_mm(trajectory.position), _texts(trajectory.quaternion)]
+    if trajectory.velocity is not None:
+        header += VELOCITY
+        columns.append(_in_mm(trajectory.velocity))
+    if joints is not None:
+        header += JOINTS
+        columns.append(_texts(np.degrees(np.asarray(joints, float)).reshape(len(trajectory), 6)))
+    rows = (itertools.chain.from_iterable(parts) for parts in zip(*columns, strict=True))
+    times = map(seconds, trajectory.time_ns.tolist())
+    lines = (f"{time},{','.join(row)}\n" for time, row in zip(times, rows, strict=True))
+    write_files({path: (line for part in ([",".join(header) + "\n"], lines) for line in part)})
+
+
+def _texts(values: np.ndarray) -> Iterator[list[str]]:
+    for part in blocks(len(values)):
+        yield from (list(map(repr, row)) for row in values[part].tolist())
+
+
+def _in_mm(values: np.ndarray) -> Iterator[list[str]]:
+    """Metres as texts in mm: the decimal point is moved, so that no bit is lost."""
+    for part in blocks(len(values)):
+        yield from ([str(Decimal(repr(v)).scaleb(3)) for v in row] for row in values[part].tolist())
+
+
+def read_csv(path) -> tuple[Trajectory, np.ndarray | None]:
+    """Read what ``write_csv`` wrote: the trajectory and the joint angles [rad], (n, 6), or None."""
+    table = read_table(path, KNOT + VELOCITY + JOINTS, KNOT, whole=True)
+    column = dict(zip(table.names, table.numbers(table.names).T, strict=True))
+    for name in (name for name in table.names if "_mm" in name):  # in m or m/s, without losing a bit
+        column[name] = np.array([float(Decimal(text).scaleb(-3)) for text in table.texts(name)])
+    several = {part[0]: [name in column for name in part] for part in (VELOCITY, JOINTS)}
+    if any(any(there) != all(there) for there in several.values()):
+        raise InputError(path, f"the header must be {','.join(KNOT)}, then velocities and joint angles if any", 1)
+    latest = 9e9  # [s], what nanoseconds in 64 bits hold
+    table.refuse(np.abs(column["time_s"]) > latest, "a time is too large")
+
+    def columns(names) -> np.ndarray:
+        return np.stack([column[name] for name in names], -1)
+
+    time_ns = np.rint(column["time_s"] * 1e9).astype(np.int64)
+    joints = columns(JOINTS) if JOINTS[0] in column else None
+    velocity = columns(VELOCITY) if VELOCITY[0] in column else None
+    try:
+        run = Trajectory(time_ns, columns(KNOT[1:4]), columns(KNOT[4:]), velocity)
+    except TrajectoryError as error:
+        raise InputError(path, error.reason, None if error.index is None else table.lines[error.index]) from None
+    return run, None if joints is None else np.radians(joints)

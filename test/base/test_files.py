@@ -9,8 +9,7 @@ from pathlib import Path
 import pytest
 
 from kr270_milling.base.errors import InputError
-from kr270_milling.base.files import staged, write_failure, write_files
-from kr270_milling.base.text import read_lines, unended
+from kr270_milling.base.files import read_lines, staged, unended, write_failure, write_files
 
 
 def names(folder) -> list[str]:
@@ -108,8 +107,10 @@ def test_a_set_of_files_appears_whole_or_not_at_all(tmp_path):
     write_files({tmp_path / "a": ["1\n", "2\n"]}, newline="\r\n")
     assert (tmp_path / "a").read_bytes() == b"1\r\n2\r\n" and (tmp_path / "b").read_text() == "old"
     assert names(tmp_path) == ["a", "b"]
-    with pytest.raises(InputError, match="cannot be written"):
-        write_files({tmp_path / "none" / "a": ["x"]})
+    write_files({tmp_path / "new" / "a": ["x"]})
+    assert (tmp_path / "new" / "a").read_text() == "x"
+    with pytest.raises(InputError, match="cannot be written"):  # below a file
+        write_files({tmp_path / "a" / "c": ["x"]})
 
 
 @pytest.mark.parametrize(

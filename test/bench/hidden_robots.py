@@ -23,7 +23,7 @@ from kr270_milling.cell.jobs import compensated, simulate
 from kr270_milling.cell.models import path_of
 from kr270_milling.cell.plant import coarser, perturbed
 from kr270_milling.decide.compensation import better_program
-from kr270_milling.decide.tolerance import gauge_of
+from kr270_milling.decide.part.assessment import gauge_of
 from kr270_milling.decide.verdict import run_sample
 from kr270_milling.path.trajectory import Trajectory
 from kr270_milling.studies.identification.measured_part import MODEL_ERROR, MODEL_SHARE, learn

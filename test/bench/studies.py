@@ -1,12 +1,10 @@
-"""How near studies come to as many plain loops as there are cores: ``python -m bench.studies sweep|tasks|rows [N]``.
+"""How near studies come to as many plain loops as there are cores: ``python -m bench.studies sweep|rows [N]``.
 
-``sweep``: a sweep of 451 passes beside the same chunks in a plain loop, in turns. ``tasks``: chunks that sleep instead
-of computing, through the same engine: what a task takes of the process of the study, and how busy so many workers
-are. ``rows``: a map of N million rows and the memory of its processes while they come.
+``sweep``: a sweep of 451 passes beside the same chunks in a plain loop, in turns. ``rows``: a map of N million rows and
+the memory of its processes while they come.
 """
 
 import contextlib
-import functools
 import json
 import os
 import statistics
@@ -15,17 +13,12 @@ import sys
 import tempfile
 import time
 from pathlib import Path
-from unittest import mock
 
 from kr270_milling.base.parameter_file import find_file
-from kr270_milling.studies.maps import engine
 from kr270_milling.studies.maps.sweep import Sweep, parse_axis
 
 VARY = "dynamics.damping_ratio=0.02:0.22:0.02", "path.depth_of_cut_mm=0.1:2.1:0.05"  # 11 x 41 passes
 SHARE = 5  # of the chunks in a plain loop: one in so many
-WORKERS = 2, 4, 8, 16, 32
-SLEEPS = 0.0, 0.1, 0.5, 2.0  # [s]
-SIZE = 4096  # bytes of a chunk's answer, as a file of a sweep has
 
 
 def bench_sweep(rounds: int) -> None:
@@ -45,31 +38,6 @@ def bench_sweep(rounds: int) -> None:
         shares.append(result["rows"] / result["wall_s"] * one / cores)
         print(f"plain loop {1e3 * one:.1f} ms a pass; share of {cores} plain loops {shares[-1]:.3f}", flush=True)
     print(f"min / median / max: {min(shares):.2f} / {statistics.median(shares):.2f} / {max(shares):.2f}")
-
-
-def asleep(seconds: float, number: int) -> bytes:
-    time.sleep(seconds)
-    return bytes(SIZE)
-
-
-def bench_tasks(_: int) -> None:
-    print("workers | sleep [s] | tasks/s | this process [ms of processor a task] | workers busy")
-    for workers in WORKERS:
-        with mock.patch("os.cpu_count", return_value=workers), mock.patch.object(engine, "_alone", return_value=0):
-            for seconds in SLEEPS:
-                count = 600 if seconds == 0.0 else max(workers * 3, round(6 * workers / seconds))
-                wall, own = tasks(count, seconds)
-                busy = count * seconds / (workers * wall)
-                shown = f"{workers:7} | {seconds:9} | {count / wall:7.1f} | {1e3 * own / count:.2f} | {busy:.3f}"
-                print(shown, flush=True)
-
-
-def tasks(count: int, seconds: float) -> tuple[float, float]:
-    """Seconds of the clock with the start of the workers, and of the processor in this process."""
-    with tempfile.TemporaryDirectory() as place:
-        own = time.process_time()
-        wall = engine.run_chunks(engine.Study(place, {}), count, functools.partial(asleep, seconds))
-        return wall, time.process_time() - own
 
 
 def bench_rows(millions: int) -> None:
@@ -107,4 +75,4 @@ def memory(driver) -> list[float]:
 
 if __name__ == "__main__":
     number = int(sys.argv[2]) if len(sys.argv) > 2 else 1
-    {"sweep": bench_sweep, "tasks": bench_tasks, "rows": bench_rows}[sys.argv[1]](number)
+    {"sweep": bench_sweep, "rows": bench_rows}[sys.argv[1]](number)

@@ -19,7 +19,7 @@ from kr270_milling.api import simulate
 from kr270_milling.base.parameter_file import find_file
 from kr270_milling.base.table import read_table
 from kr270_milling.cli import main
-from kr270_milling.physics.cutting.materials import find_material
+from kr270_milling.physics.cutting.laws import find_material
 from kr270_milling.physics.robot import BARE, cartesian_mass, compliance, equilibrium, mode_frequencies
 from kr270_milling.physics.robot.analysis import read_arm
 

@@ -182,8 +182,8 @@ def test_disturbances_grow_and_die_as_fast_as_the_multiplier_says_and_a_drifting
         largest = np.abs(multipliers(depth, 0.002, directional("up", 160))).max()
         assert growth(case, depth) == pytest.approx(np.log(largest), rel=0.12)
     wide, limit_of_the_period = Milling(12000.0, "slot", 100_000), semi_discretisation(SLOTS[0])[0]
-    assert drifting_limit(wide) == pytest.approx(limit_of_the_period, rel=2e-3)
-    assert drifting_limit(Milling(12000.0, "slot", 80)) > 1.05 * limit_of_the_period
+    assert drifting_limit(wide, 160) == pytest.approx(limit_of_the_period, rel=2e-3)
+    assert drifting_limit(Milling(12000.0, "slot", 80), 160) > 1.05 * limit_of_the_period
 
 
 # --- the oracle itself ---

@@ -6,7 +6,7 @@ rapid move and the depth d.
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -21,9 +21,9 @@ from kr270_milling.cell.cell_file import read_cell
 from kr270_milling.cell.jobs import simulate
 from kr270_milling.cell.models import arm_of, path_of
 from kr270_milling.decide.check import check
+from kr270_milling.decide.check_arm import arm_violations, corner_blending, correction_per_tick, correction_size
 from kr270_milling.decide.check_cut import HOLLOW, INSERT_RAMP, core_radius, engagement, rapid_violations
 from kr270_milling.decide.findings import violations
-from kr270_milling.decide.path_limits import arm_violations, corner_blending, correction_per_tick, correction_size
 from kr270_milling.path.trajectory import TOOL_DOWN, Trajectory
 from kr270_milling.physics.robot import pose
 
@@ -398,6 +398,15 @@ def test_material_below_the_core_sinks_as_a_ramp_and_a_helix_say(tmp_path):
     # the core is at most for this share of a turn over a place: where the circle about the place touches its border
     assert wide == pytest.approx(2 * math.asin(core / 9) / math.pi, rel=0.03)
     assert narrow == pytest.approx(3.0, abs=1e-3)  # the middle of a bore of less than 2 R + 2 core
+
+
+def test_a_finding_in_a_sub_program_of_another_file_names_its_file_and_line(tmp_path):
+    (tmp_path / "O7.nc").write_text("%\nO0007\nG1 X26 F4000\nM99\n")
+    main = SLOT.replace("G1 X26 F4000", "M98 P7")
+    case = next(case for case in CASES if case.name == "deeper than the flutes")
+    checked = check(cell_of_case(replace(case, program=main), tmp_path))
+    (finding,) = [f for f in checked.findings if f.what == case.finding]
+    assert finding.where.called == "O7.nc, line 3" and f"(line {case.lines[0]}: O7.nc, line 3)" in finding.text
 
 
 def test_drilling_is_reported_without_a_force_and_without_a_deviation(tmp_path):

@@ -13,9 +13,15 @@ from kr270_milling.cell.cell_file import read_cell
 from kr270_milling.cell.jobs import compensated, simulate
 from kr270_milling.cell.models import arm_model_of, arm_of, cut_of, path_of
 from kr270_milling.decide.part import assess, assess_all, heights_at, ideal_part, machined, surface
-from kr270_milling.decide.part.stations import Stations, deviations, stations_of
-from kr270_milling.decide.part.surface import MARK, remaining_walls
-from kr270_milling.decide.part.workpiece import write_part
+from kr270_milling.decide.part.surface import (
+    MARK,
+    Stations,
+    deviations,
+    neighbours,
+    remaining_walls,
+    stations_of,
+    write_part,
+)
 from kr270_milling.physics.motion.arm_model import modal_models
 from kr270_milling.physics.motion.dynamics import discretise
 
@@ -281,7 +287,8 @@ def test_a_mark_among_too_many_of_other_walls_counts_alone():
     path = Stations(
         np.zeros(2), np.array([[1.0, 0, 0]] * 2), np.zeros(2), np.zeros(2, np.int64), ("corner",), np.zeros(2, bool)
     )
-    ideal = SimpleNamespace(marks=marks, staying=np.array([60]), wall_height=np.array([1e-3]), level=1e-9)
+    near = neighbours(marks, np.array([60]), 2e-9)
+    ideal = SimpleNamespace(marks=marks, staying=np.array([60]), wall_height=np.array([1e-3]), near=near)
     walls = remaining_walls(ideal, path, np.full((2, 3), 1e-5))
     np.testing.assert_allclose(walls.error, [-1e-5])  # the wall is cut 10 um too deep
 

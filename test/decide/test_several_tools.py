@@ -8,7 +8,7 @@ import pytest
 from hostile import answered, ask, settings
 from samples.milled_part import RIGID
 
-from kr270_milling.base.errors import ConfigError
+from kr270_milling.base.errors import ConfigError, InputError
 from kr270_milling.base.parameter_file import find_file
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.cell_file import read_cell, read_cells
@@ -16,8 +16,8 @@ from kr270_milling.cell.jobs import simulate
 from kr270_milling.cell.models import path_of
 from kr270_milling.decide.check import check
 from kr270_milling.decide.check_cut import engagement, rapid_violations
+from kr270_milling.decide.compensation import in_turn
 from kr270_milling.decide.part import assess
-from kr270_milling.decide.tools import in_turn
 from kr270_milling.path.cam.gcode.reader import read_gcode
 
 pytestmark = pytest.mark.usefixtures("few_robots")
@@ -66,7 +66,7 @@ def run_in_turn(cells):
 
 @pytest.mark.parametrize("detail", ["cutting.detail=teeth", "cutting.detail=engagement"])
 @pytest.mark.parametrize("first", ["T1", "T2"])
-def test_two_tools_remove_the_union_of_their_slots_and_the_second_on_the_same_path_nothing(tmp_path, detail, first):
+def test_two_tools_remove_the_union_of_their_slots(tmp_path, detail, first):
     slots = [operation("T1", *ALONG), operation("T2", *ACROSS)]
     program = HEAD + "".join(slots if first == "T1" else slots[::-1]) + END
     done = run_in_turn(tool_cells(tmp_path, program, {"T1": LARGE, "T2": SMALL}, detail, RIGID))
@@ -75,6 +75,10 @@ def test_two_tools_remove_the_union_of_their_slots_and_the_second_on_the_same_pa
     for (cell, ran), shared in zip(done, (0, both), strict=True):
         assert 1e9 * ran.result.removed_volume == pytest.approx(alone[cell.stage.tool] - shared, rel=0.01)
     assert not any(check(cell, ran=ran).count("stop") for cell, ran in done)
+
+
+@pytest.mark.parametrize("detail", ["cutting.detail=teeth", "cutting.detail=engagement"])
+def test_the_second_tool_on_the_same_path_removes_nothing(tmp_path, detail):
     (_, cuts), (_, second) = run_in_turn(tool_cells(tmp_path, TWICE, {"T1": LARGE, "T2": LARGE}, detail, RIGID))
     assert np.abs(cuts.result.wrench).max() > 50.0
     assert second.result.removed_volume == 0.0 and not second.result.wrench.any()
@@ -139,10 +143,24 @@ def test_tools_that_do_not_fit_are_refused(tmp_path, tools, more, message):
         tool_cells(tmp_path, SLOTS, tools, *filter(None, [more]))
 
 
-def test_a_tool_that_cuts_twice_and_a_command_for_one_tool_are_refused(tmp_path, drafted):
-    twice = SLOTS.replace(END, operation("T1", *ALONG)) + END
-    with pytest.raises(ConfigError, match=r"tools\.T1: cuts again in line 20, after T2"):
-        tool_cells(tmp_path, twice, {"T1": LARGE, "T2": SMALL})
+def test_a_further_run_of_a_tool_has_the_keys_of_the_tool_and_takes_what_is_left(tmp_path):
+    deeper = operation("T1", *ALONG[:1], "G0 Z-1", "G1 X-35 Z-2 F3000", "X40", speed=7000)
+    program = SLOTS.replace(END, operation("T1", *ALONG) + deeper) + END
+    cells = tool_cells(tmp_path, program, {"T1": LARGE, "T2": SMALL, "T1_3": {**LARGE, "teeth": 3}}, RIGID)
+    assert [(cell.stage.tool, cell.stage.suffix) for cell in cells[2:]] == [("T1_2", "_N3"), ("T1_3", "_N4")]
+    assert [cell.tool.teeth for cell in cells] == [2, 2, 2, 3] and not any(cell.stage.same_tip for cell in cells[2:3])
+    assert [cell.tool.spindle_speed for cell in cells[2:]] == pytest.approx([200 * np.pi, 700 / 3 * np.pi])
+    removed = [1e9 * ran.result.removed_volume for _, ran in run_in_turn(cells)]
+    assert removed == pytest.approx([600, 360 - 60, 0, 600 - 60], rel=5e-3)  # [mm3], closed form
+
+
+def test_a_run_that_the_program_does_not_make_and_a_command_for_one_tool_are_refused(tmp_path, drafted):
+    with pytest.raises(ConfigError, match=r"path\.tool: 'T1_2' .*one of T1, T2"):
+        tool_cells(tmp_path, SLOTS, {"T1": LARGE, "T2": SMALL}, "path.tool=T1_2")
+    twice = SLOTS.replace("T2", 'T="T1_2"').replace(END, operation("T1", *ALONG)) + END
+    (tmp_path / "twice.nc").write_text(twice)
+    with pytest.raises(InputError, match=r"T1_2 is the name of a tool and of a further run"):
+        read_gcode(tmp_path / "twice.nc", "T1_2")
     with pytest.raises(ConfigError, match=r"has 3 tools, .* --set path\.tool=T1"):
         read_cell(drafted, STOCK)
 

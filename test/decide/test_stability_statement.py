@@ -5,7 +5,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from samples.small_part import small_part
+from samples.small_part import assignments, small_part
 from semi_discretisation import BENCHMARK, directional, limit
 
 from kr270_milling.base.parameter_file import find_file
@@ -38,14 +38,18 @@ def cell_of(depth: float, settings):
 
 
 # --- against the limit ---
+@pytest.fixture(scope="module")
+def slot_limit() -> float:
+    """The limit of the benchmark in a full slot [m] by first-order semi-discretisation."""
+    depths = np.geomspace(1e-4, 6e-3, 30)
+    return limit(60.0 / RPM / 2, directional("slot", 40), directional("slot", 100), depths)[0]
+
+
 @pytest.mark.parametrize(
     ("share", "word", "severity"),
     [(1.1, "chatter", "stop"), (0.9, "near the limit", "warning"), (0.7, "stable", None)],
 )
-def test_a_cut_above_the_limit_of_the_tool_is_a_stop_and_just_below_a_warning(share, word, severity):
-    """The limit of the benchmark in a full slot is that of first-order semi-discretisation."""
-    depths = np.geomspace(1e-4, 6e-3, 30)
-    slot_limit = limit(60.0 / RPM / 2, directional("slot", 40), directional("slot", 100), depths)[0]
+def test_a_cut_above_the_limit_of_the_tool_is_a_stop_and_just_below_a_warning(share, word, severity, slot_limit):
     checked = check(cell_of(share * slot_limit, TOOL_MODE))
     result = [f for f in checked.findings if f.what == "chatter"]
     assert checked.stability.word == word and [f.severity for f in result] == ([severity] if severity else [])
@@ -74,10 +78,12 @@ def piece():
     return cell, stability_statement(cell)
 
 
-def test_the_shipped_cell_with_tool_modes_is_stable_and_chatters_when_its_modes_are_ten_times_softer(piece):
-    cell, result = piece
+def test_the_shipped_cell_with_tool_modes_is_stable_and_chatters_when_its_modes_are_ten_times_softer(piece, tmp_path):
+    _, result = piece
     assert result.with_tool and result.word == "stable" and len(result.features) == 5
     assert result.text.startswith("stability: arm, tool and spindle: stable (square: 1.2 mm, limit ")
+    words = assignments(tmp_path, EDGE.format(-14, 54).replace("Y-14", "Y0").replace("Z-0.5", "Z-1.2"))
+    cell = read_cell(find_file("test_piece_tool_modes.yaml"), words)  # a slot as deep as the cuts of the test piece
     softer = cell.tool.replace(modes=cell.tool.modes.replace(mass=cell.tool.modes.mass / 10))
     result = stability_statement(cell.replace(tool=softer))
     assert result.word == "chatter" and result.worst.limit.chatter_frequency > 2 * np.pi * 900

@@ -59,7 +59,6 @@ COMMANDS = {
     "run": ("run", "{file}", "--out", "{out}"),
     "info": ("info", "{file}"),
     "recompute": ("replay", "{file}", "--recompute"),
-    "revise": ("replay", "{file}", "--compensate", "--out", "{out}"),
     "export": ("export", "{file}", "--csv", "{out}"),
     "report": ("report", "{file}", "--out", "{out}"),
     "recover": ("recover", "{file}", "--out", "{out}"),
@@ -129,7 +128,7 @@ def test_a_reference_that_is_none_for_this_path_is_refused(tmp_path):
 
 SECRET = b"not to be touched"
 CELL = ("paper.yaml", *settings(*SHORT))
-WRITERS = {name: COMMANDS[name] for name in ("simulate", "compensate", "export", "revise", "report", "recover")}
+WRITERS = {name: COMMANDS[name] for name in ("simulate", "compensate", "export", "report", "recover")}
 WRITERS["demo"] = ("demo", "--plain", "--out", "{out}")
 
 
@@ -143,7 +142,7 @@ def files(tmp_path_factory):
     record(directory / "topics", 5)
     passed = pass_recording.write(directory / "pass", pass_recording.one_pass())
     topics = dict.fromkeys(("export", "recover"), directory / "topics")
-    return topics | {"simulate": cell, "compensate": cell, "revise": passed, "report": passed, "demo": ""}
+    return topics | {"simulate": cell, "compensate": cell, "report": passed, "demo": ""}
 
 
 @pytest.mark.parametrize("name", WRITERS)
@@ -221,7 +220,7 @@ def test_a_number_of_an_option_is_finite_within_its_bounds_and_written_in_digits
       for option in ("--rate", "--start-offset", "--playback-duration", "--clock")],
     ["stiffness", "kr270_2.yaml", "--joints-deg"], ["stiffness", "kr270_2.yaml"], ["stiffness"],
     ["simulate", "paper.yaml", "--set"], ["check", "paper.yaml", "--reference"], ["run"], ["replay"], ["info"],
-    ["replay", "a", "--recompute", "--compensate"], ["export"], ["export", "a"], ["recover"], ["report"],
+    ["replay", "a", "--compensate"], ["export"], ["export", "a"], ["recover"], ["report"],
     ["export", "a", "--csv", "x", "--topics"], ["demo", "x"], ["keys", "--steps=3"],
     ["", ""], ["simulate", ""], ["simulate", "paper.yaml", "--set", ""], ["simulate", "paper.yaml", "--set", "="],
     ["simulate", "paper.yaml", "--set", "tool..teeth=3"], ["simulate", "paper.yaml", "--set", "tool=3"],

@@ -19,7 +19,7 @@ from kr270_milling.base.frames import rotation_from_abc, rotation_from_quaternio
 from kr270_milling.path.cam.arcs import ArcError, arc_points, centre_from_radius
 from kr270_milling.path.cam.readers import READERS, PathReader, read_path_file, read_toolpath
 from kr270_milling.path.toolpath import REACH, PathBuilder, Toolpath
-from kr270_milling.path.trajectory_csv import read_csv
+from kr270_milling.path.trajectory import read_csv
 
 VALID = {
     ".nc": b"G21 G90 (a)\nG0 X0 Y0 Z0\nG1 X1 F100\nG2 X5 Y4 I4 J0\nG3 X0 Y0 R6\nG91 G20\nG1 X-.5 F4\nM30\n",
@@ -64,14 +64,20 @@ CONVERSATIONAL = {
         (10, 2), (14, 2), (18, 6), (18, 10), 0],
     "CYCL DEF 203 X ~\nQ200=2 ;A ~\nQ201=-3 ~\nQ206=90 Q202=9 Q203=-1\nL X+5 FMAX M99\nL X+6 FMAX\nCYCL CALL": [
         (5, 0, -4), (6, 0, -4)],
-    "L X+1 M128": [1], "CYCL DEF 209 TAPPING": "CYCL DEF 200 and 203 are read",
+    "L X+1 M128": [1], "CYCL DEF 209 TAPPING": "CYCL DEF 200, 201, 203, 205 and 240 are read",
     "CYCL DEF 7.0 DATUM SHIFT\nCYCL DEF 7.1 X+5\nL X+1\nTRANS DATUM RESET\nL X+2": [6, 2],
     "PLANE SPATIAL SPA0 SPB10": "needs SPA, SPB, SPC", "PLANE VECTOR BX1": "let the CAM output PLANE SPATIAL",
-    "L X+10,5": "',5' is no word", "L X+1 Q": "is no word", "L X+Q9": "#9 has no value",
+    "L X+10,5": [10.5], "L X+1 Q": "is no word", "L X+Q9": "Q9 has no value", "L X+1 M89": "M89", "L X+1 M104": "M104",
+    "L X+3\nSTOP M0\nL X+4\nSTOP M30\nL X+5": [3, 4],
+    "CYCL DEF 240 CENTERING Q200=2 Q343=0 Q201=-1 Q206=60 Q203=0\nL X+5 FMAX M99": [(5, 0, -1)],
+    "CYCL DEF 201 REAMING Q200=2 Q201=-1 Q206=60 Q203=+0\nL X+5 FMAX M99": [(5, 0, -1), (5, 0, 2)],
+    "CYCL DEF 205 PECKING ~\nQ200=2 Q201=-5 Q206=60 Q202=3 Q203=0 Q212=0\nL X+5 FMAX M99": [(5, 0, -1), (5, 0, -4),
+                                                                                   (5, 0, -5)],
+    "CYCL DEF 240 CENTERING Q200=2 Q343=1 Q201=-1 Q344=-5 Q206=60 Q203=0": "Q343 and Q379 of zero",
     "L X+5 RL": "radius of the tool",
     "L X+5\nRND R2": "RND without a next move", "C X+5 DR+": "C needs CC", "CT X+5 Y+0": "needs a move in the xy plane",
     "CALL LBL 7": "LBL 7 is not in this program", "LBL 1\nCALL LBL 1": "more than 10 labels call one another",
-    "APPR LT X+5 LEN5": "lead-ins and lead-outs", "CYCL CALL": "before CYCL DEF", "L A+5": "does not take A",
+    "APPR LT X+5 LEN5": "lead-ins and lead-outs", "CYCL CALL": "before its CYCL DEF", "L A+5": "does not take A",
     "TOOL CALL 1 Y": "takes a tool, Z", "X+5": "'X\\+5' is not read", "CC X+9 Y+0\nCP IPA-90 DR+": "turns against DR",
 }  # fmt: skip
 

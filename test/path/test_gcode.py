@@ -14,9 +14,9 @@ import pytest
 
 from kr270_milling.base.errors import InputError
 from kr270_milling.path.cam.comments import described_tool, operation_name
-from kr270_milling.path.cam.drilling import CLEARANCE, Cycle
 from kr270_milling.path.cam.gcode.reader import read_gcode
 from kr270_milling.path.cam.machine import CHORD
+from kr270_milling.path.cam.program_builder import CLEARANCE, Cycle
 from kr270_milling.path.cam.readers import read_toolpath
 from kr270_milling.path.source_program import ProgramError
 
@@ -176,22 +176,37 @@ def test_cycles_return_by_g98_and_g99_repeat_by_l_and_end_with_a_motion_word_or_
 
 
 def test_a_retract_goes_to_the_highest_level_and_a_tool_that_comes_back_from_home_travels_above(read):
-    for home in ("G28 G91 Z0\nG90", "G91 G28 Z0.\nG90", "G53 G0 Z0", "G0 SUPA Z0", "G30 Z5", "G74 Z1=0"):
+    for home in ("G28 G91 Z0\nG90", "G91 G28 Z0.\nG90", "G53 G0 Z0", "G0 SUPA Z0", "G30 G91 Z0\nG90", "G74 Z1=0"):
         path = read(f"G0 X0 Y0 Z20\nG0 Z1\nG1 Z-1 F100\n{home}\nG0 X9 Y9\nG0 Z1\nG1 Z-1\n")
         assert millimetres(path)[2:] == [[0, 0, -1], [0, 0, 20], [9, 9, 20], [9, 9, 1], [9, 9, -1]]
     path = read("G0 X0 Y0 Z20\nG1 Z-1 F100\nG28\nG0 X9 Y9 Z1\nG1 Z-1\n")
     assert millimetres(path)[1:] == [[0, 0, -1], [0, 0, 20], [9, 9, 20], [9, 9, 1], [9, 9, -1]]
+    path = read("G0 X0 Y0 Z20\nG1 Z-1 F100\nG28 X3 Z-5\nG0 X9 Y9 Z1\nG91 G30 Z3\nG90 G0 X0 Y0\nZ1\nG1 Z-1\n")
+    between = [[3, 0, -5], [3, 0, 20], [9, 9, 20], [9, 9, 1], [9, 9, 4], [9, 9, 20], [0, 0, 20]]  # stated with G28, G30
+    assert millimetres(path)[2:-2] == between and path.rapid[2:-1].all()
     path = read("G53 G0 Z0\nG1 X5 Y5 F5000\nG0 Z2\nG1 Z-1 F100\n")
     assert millimetres(path) == [[5, 5, 2], [5, 5, -1]]
 
 
 def test_a_change_of_the_tool_lifts_it_but_keeps_its_coordinates_and_a_preselected_one_is_not_yet_in_the_spindle(read):
     text = "T1 M6\nG0 X0 Y0 Z20\nG0 Z1\nG1 X5 F100\nT2 M6\nG1 X7\nG0 Z20\nT1 M6\nG0 X1 Z1\nG1 X2\n"
-    path = read(text, tool="T1")
-    assert millimetres(path) == [[0, 0, 20], [0, 0, 1], [5, 0, 1], [5, 0, 20], [1, 0, 20], [1, 0, 1], [2, 0, 1]]
+    assert millimetres(read(text, tool="T1")) == [[0, 0, 20], [0, 0, 1], [5, 0, 1]]
     assert read(text, tool="T2").length == pytest.approx(2e-3 + 19e-3)
+    assert millimetres(read(text, tool="T1_2")) == [[1, 0, 1], [2, 0, 1]]
     program = read("T1 M6\nT2\n" + HIGH + "G1 Z-1 F100\nM30\n").program
     assert [tool.name for tool in program.tools] == ["T1"]
+
+
+def test_a_tool_runs_again_after_another_one_or_at_another_speed_after_a_rapid_move(read):
+    sub = "T1 M6\nS1000 M3\nM98 P7\nT2 M6\nS1000 M3\nM98 P7\nS2000\nM98 P7\nM30\n"
+    sub += "O7\nG0 X0 Y0 Z1\nG1 Z-1 F100\nG0 Z1\nM99\n"
+    program = read(sub, tool="T1").program
+    assert [(tool.name, tool.cuts) for tool in program.tools] == [("T1", 1), ("T2", 1), ("T2_2", 1)]
+    speeds = [read(sub, tool=name).program.spindle_speeds[0] * 30 / math.pi for name in ("T1", "T2_2")]
+    assert speeds == pytest.approx([1000, 2000])
+    cutting = "T1 M6\nS1000 M3\nG0 X0 Y0 Z1\nG1 Z-1 F100\nS2000\nX5\nG0 Z5\nX9\nG1 Z-1\n"
+    with pytest.raises(InputError, match=r"2 spindle speeds: S1000 \(line 4\), S2000 \(line 6\)"):
+        read(cutting, tool="T1")
 
 
 def test_clockwise_is_seen_against_the_axis_across_the_plane_and_a_helix_of_sinumerik_turns_further_circles(read):
@@ -257,129 +272,9 @@ def test_the_one_described_tool_is_the_tool_of_a_program_without_a_t_word(read):
     assert not read(first + second + moves).program.current.diameter
 
 
-#: comments on tools as posts and operators write them, after the kind of the tool; flat: also those without a kind
-KINDS = """
-flat: T1 D=6.35 CR=0 - ZMIN=-12.7 - flat end mill
-flat: T26 D=0.25 CR=0. - face mill
-flat: T1 SHELL MILL 50
-flat: T1 FLY CUTTER
-flat: T1 Schaftfräser D10 R0
-flat: T1 D10 Z3 in the R8 collet
-flat: T2 8MM SLOT DRILL
-flat: T1 ROUGHER 12
-flat: T5 Bohrnutenfraeser D8
-flat: T1 Schaftfräser D10 Z3
-flat: T1 Planfräser 63
-flat: TC: 5mm Endmill
-flat: T1 End Mill {0.25 inch}
-flat: T1 10mm carbide 3 flutes
-flat: T1 6mm flat end mill for the chamfer
-flat: Pocket with 6mm end mill
-flat: 2D Chamfer1
-flat: Drill2
-flat: Drill 5mm holes
-flat: Engrave text
-flat: Thread M6
-flat: Chamfer 0.5 mm
-ball-end mill: 1/2 BALL ENDMILL TOOL - 1 DIA. OFF. - 41 LEN. - 1 DIA. - .5
-ball-end mill: T8 .250 BALL
-ball-end mill: T1 Kugelfräser D10
-ball-end mill: TC: 6mm_Ball_End
-tapered ball-end mill: T1 Tapered Ball Nose 0.25 mm R
-ball-end mill: BALL END MILL
-chamfer mill: T12 D=6.35 CR=0. TAPER=45deg - chamfer mill
-chamfer mill: T8 Chamfering Bit - 1/8 Shank
-chamfer mill: T1 Fase 45
-T-slot cutter: T5 T-SLOT CUTTER D20
-T-slot cutter: T1 D=10. CR=0. - slot mill
-T-slot cutter: T5 T-Nutenfräser D20
-T-slot cutter: T5 KEYCUTTER 16MM
-T-slot cutter: T5 WOODRUFF CUTTER
-T-slot cutter: T1 Scheibenfräser 63x3
-T-slot cutter: T4 SLITTING SAW
-thread mill: T1 D=10. CR=0. - thread mill
-thread mill: T1 Gewindefräser M8
-tapered mill: T1 D=10. CR=0. TAPER=5deg - tapered mill
-tapered mill: T1 Kegelfräser 3 Grad
-engraver: T1 = V-Bit {60.0 deg 0.5 dia}
-engraver: TC: 60degree_Vbit
-engraver: T1 Gravierstichel 60
-engraver: T1 ENGRAVING TOOL
-drill: T3 D=5. CR=0. TAPER=118deg - ZMIN=-7. - drill
-drill: T2 TWIST DRILL 8MM
-drill: T1 Spiralbohrer 8.5
-spot drill: Tool 5: Spot Drill 3 Flutes
-spot drill: T4 90DEG SPOT
-spot drill: T1 NC-Anbohrer 90
-tap: T7 M6X1 TAP
-tap: T1 D=10. CR=0. - right hand tap
-tap: T1 Gewindebohrer M8
-bull-nose mill: T1 Torusfräser D10 R1
-bull-nose mill: T2 BULL 12 R2
-corner-rounding cutter: T1 D=10. - radius mill
-corner-rounding cutter: T19 1/8 CORNER ROUND
-corner-rounding cutter: T1 Radiusfräser R5
-dovetail cutter: T1 D=10. - dovetail mill
-dovetail cutter: T1 Schwalbenschwanzfräser
-lollipop cutter: T1 lollipop mill
-reamer: T21 8H7 REAMER
-reamer: T1 Reibahle 8H7
-countersink: T1 counter sink 90
-countersink: T1 Kegelsenker 90
-boring bar: T18 BORING BAR
-form mill: T1 D=10. - form mill
-form mill: T1 circle segment barrel
-high-feed mill: T1 HIGH FEED MILL D32
-centre drill: T3 CENTERDRILL
-centre drill: T1 Zentrierbohrer
-bull-nose mill: T1 EM D10R2
-bull-nose mill: T1 Schaftfräser D10 Eckenradius 0,5
-bull-nose mill: TOOL 1 DIA 10. RAD. 2. LENGTH 50
-bull-nose mill: T1 | 10MM EM .5 CR | H1
-bull-nose mill: T1 ROUND INSERT FACE MILL D32
-bull-nose mill: T1 Fraise torique D10
-ball-end mill: T1 Kopierfräser D10 R5
-ball-end mill: T1 BN10
-ball-end mill: T1 Fraise boule D10
-chamfer mill: T1 Winkelfräser 60 D10
-engraver: T1 60DEG VEE BIT
-brush or abrasive tool: T1 Schleifstift D10
-flat: T1 END MILL D10 IN R8 COLLET
-flat: T1 END MILL D10 FOR BALL SEAT POCKET
-flat: T1 12MM END MILL HOLDER CAT40 TAPER
-flat: T1 10MM 45DEG HELIX ENDMILL
-flat: T1 Fraise 2 tailles D10
-flat: T1 FACE MILL 90 DEG D50
-flat: T1 WSP-Fräser D20
-flat: TOOL DESC: 10mm FLAT ENDMILL
-tapered ball-end mill: TOOL DESC: 10mm TAPERED BALL
-ball-end mill: TOOL NAME BALL_8MM
-ball-end mill: UTENSILE: FRESA SFERICA D8
-ball-end mill: FRAISE HEMISPHERIQUE D8
-ball-end mill: 1/4 BALL
-ball-end mill: T4 FRESA PUNTA DE BOLA 6
-bull-nose mill: T1 12MM ENDMILL 1MM RAD
-bull-nose mill: T1 1/2 X .060R ENDMILL
-bull-nose mill: T1 0.5 DIA 0.03 CR EM
-engraver: T1 V60 D10
-engraver: T1 60DEG V
-T-slot cutter: T1 NUTENFRAESER T D20
-T-slot cutter: T1 FRESA A T D20
-tapered mill: T1 45 DEG FACE MILL D50
-tapered mill: T1 Planfräser 45° D63
-chamfer mill: T1 SMUSSATORE D10
-dovetail cutter: T1 FRESA A CODA DI RONDINE
-drill: T1 PUNTA D8.5
-tap: T1 MASCHIO M8
-reamer: T1 ALESATORE 10H7
-countersink: T1 SVASATORE 90
-profile cutter: T1 PROFILE CUTTER
-schlitzfräser: T1 Schlitzfräser 63x3
-"""
-
-
-@pytest.mark.parametrize("line", KINDS.strip().splitlines())
+@pytest.mark.parametrize("line", Path(__file__).with_name("tool_comments.txt").read_text(encoding="utf-8").splitlines())
 def test_the_kind_of_a_tool_is_read_from_its_comment(line):
+    """Comments on tools as posts and operators write them, after the kind of the tool; flat: also without a kind."""
     kind, comment = line.split(": ", 1)
     tool = described_tool(comment, MM, "T9")
     assert (tool.shape if tool else "") == kind.removeprefix("flat")
@@ -400,11 +295,12 @@ def test_an_operation_is_named_and_no_comment_of_a_post_on_itself_or_on_a_part_o
     assert operation_name(comment) == (name, announced)
 
 
-# --- One pocket as seven posts write it ---
+# --- One pocket as twelve posts write it ---
 PROGRAMS = Path(__file__).parent / "programs"
 ALL = ("fusion_haas.nc", "fusion_grbl.nc", "freecad_linuxcnc.ngc", "mastercam_fanuc.nc", "linuxcnc.ngc",
        "sinumerik.mpf", "haas.nc",
-       "fusion_heidenhain.h", "mastercam_heidenhain.h", "hsmworks_heidenhain.h")  # fmt: skip
+       "fusion_heidenhain.h", "mastercam_heidenhain.h", "hsmworks_heidenhain.h", "sprutcam_heidenhain.h",
+       "hypermill_heidenhain.h")  # fmt: skip
 #: [mm], lengths of the pocket: down from 15, four circles of radius 4, of which three descend by 1; two rings; up again
 CIRCLES, RINGS = 3 * math.hypot(8 * math.pi, 1) + 8 * math.pi, 142 + 4 * math.pi
 LENGTH = 13 + CIRCLES + RINGS + math.pi / 2 + 15
@@ -464,6 +360,37 @@ def test_a_program_with_several_tools_is_refused_with_their_list_and_a_tool_that
     assert program.title == "POCKET PLATE" and [r.word for r in program.refused] == ["T2"]
     with pytest.raises(ProgramError, match="does not cut with T5; it does with T1 .*, T2"):
         read_gcode(PROGRAMS / "haas.nc", tool="T5")
+
+
+B = "G21 G90\nG0 X0 Y0 Z5\n"
+#: odd but legal programs -> ends of their cutting moves [mm], words that are read over
+ODD = {
+    "\ufeff\r\n%\r\nO1234 (A/B)\r\nN10 G21G90G17\r\nG0X0Y0Z5.\r\nG1Z-1.F200\r\nX.5\r\nX-0.\r\nX5.\r\nM30\r\n%\r\n": (
+        [(0, 0, -1), (0.5, 0, -1), (0, 0, -1), (5, 0, -1)], 0),
+    "%\n<PART_1>(c)\nG00G90G54X0Y0\nG00Z+5.0\n/1G01Z-01.F0100\nN9/ X+.5Y00001.\nM99\n%": (
+        [(0, 0, -1), (0.5, 1, -1)], {"/": 2, "M99 of the program, which is run once": 1}),
+    "\tg21 g90 g90\n\tg0 g00\tx0 y0 z5 ; go) (there\n()\ng1 z-1 f100 (;)\nm5m9 m30 (end)(x)": ([(0, 0, -1)], {"M9": 1}),
+    "T2 M6\nT2 M6\nS9M3\nG0X0Y0Z5\nG1Z-1F100\nM6 T2\nM3\nX0Y0Z5\nG1Z-1\nM30": ([(0, 0, -1), (0, 0, 5), (0, 0, -1)], 0),
+    f"{B}G4 P500\nG04 X1.5\nG4 U.5\nG1Z-1F100\nG4\nG4 F1\nX1\nM2": ([(0, 0, -1), (1, 0, -1)], {"G4": 5}),
+    f"T1M6\n{B}G1Z-1F100\nG91G28Z0T2\nG28 X0 Y0\nG90\nG30\nG49 G53 Z0\nG30 P2 X0\nM30": ([(0, 0, -1)], {
+        "G28 Z": 1, "G28 X Y": 1, "G30 X Y Z": 1, "G49": 1, "G53 Z": 1, "G30 X": 1}),
+    f"G05.1Q1\nG05P10000\nG08P1\n{B}M00(a)\nG1Z-1F100\nM47": ([(0, 0, -1)], {
+        "G5.1": 1, "G5": 1, "G8": 1, "M0": 1, "M47 of the program, which is run once": 1}),
+    f"N0010\n{B}G0001Z-001.F00100\nN1.5 X1\nN99999999 X2A0.B0C0\nM0030": ([(0, 0, -1), (1, 0, -1), (2, 0, -1)], {
+        "A0": 1, "B0": 1, "C0": 1}),
+    f"G153\n{B}G1 F200 Z=-1\nX=10 Y=2*5\nX=IC(1) Y=AC(3)\nG75 FP=1 X1=0 Z1=0\nMSG()\nM17": (
+        [(0, 0, -1), (10, 10, -1), (11, 3, -1)], {"FP": 1, "G28 X Z": 1, "MSG": 1, "G153": 1}),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("program", ODD)
+def test_an_odd_but_legal_program_is_run_and_each_of_its_words_counts(tmp_path, program):
+    ends, words = ODD[program]
+    (tmp_path / "odd.nc").write_bytes(program.encode())
+    path = read_toolpath(tmp_path / "odd.nc")
+    start = int(not path.rapid[0])
+    np.testing.assert_allclose(1e3 * path.position[start:][~path.rapid[start:]], ends, atol=1e-9)
+    assert dict(path.program.read_over) == (words or {})
 
 
 # --- The reader keeps pace with long programs ---

@@ -16,8 +16,8 @@ from kr270_milling.base.frames import TOOL0, Pose
 from kr270_milling.cell.cell_file import read_cell
 from kr270_milling.cli import main
 from kr270_milling.decide.inputs import input_violations
-from kr270_milling.path.cam.krl.reader import _KrlReader
-from kr270_milling.path.cam.krl.values import KrlError, evaluated
+from kr270_milling.path.cam.krl import _KrlReader
+from kr270_milling.path.cam.krl_values import KrlError, evaluated
 from kr270_milling.path.cam.program_builder import ProgramBuilder
 from kr270_milling.path.cam.readers import read_toolpath
 
@@ -158,7 +158,7 @@ REFUSED = [
 
 @pytest.mark.parametrize("line, sentence", REFUSED, ids=[repr(line[:30]) for line, _ in REFUSED])
 def test_a_statement_that_cannot_be_run_is_refused_in_a_sentence(tmp_path, monkeypatch, line, sentence):
-    monkeypatch.setattr("kr270_milling.path.cam.krl.reader.MOST_STATEMENTS", 1000)
+    monkeypatch.setattr("kr270_milling.path.cam.krl.MOST_STATEMENTS", 1000)
     start = [f"PTP {{X 0,Y 0,Z 5,{DOWN},E1 0}}", "$VEL.CP=0.1", "LIN {X 0,Y 0,Z 0}", "LIN {X 1,Y 0,Z 0}"]
     with pytest.raises(InputError) as caught:
         read_toolpath(written(tmp_path, *start, line))

@@ -33,12 +33,30 @@ ENDS = {
     "G10 L2 P1 X1\nG1 X0\nG10 L2 P1 R90 X1\nX3 Y0": [1, (1, 3)],
     "G10 L2 P2 X5\nG55\nG1 X1\nG10 L20 P0 X4\nX1\nG54\nG1 X1": [6, 3, 1],
     "G52 X4\nX1\nG52 X0\nX1": [5, 1],
+    "G52 X4\nX1\nG92.2\nX2\nG92.3\nX3\nG92.1\nX4": [5, 2, 7, 4],
     "G10 L2 P1 X1 Y2 Z3\nG1 X0\nG53 X5 Z4\nX2 Y0": [1, (5, 0, 4), (3, 2, 4)],
     # around an outside corner, into an inside one, onto an arc, out
     "G41.1 D4\nX10\nX20\nY-10\nX30\nG40\nX50": [(10, 2), (20, 2), (22, 0), (22, -8), (30, -8), (50, -10)],
     "G41.1 D4\nG3 X10 Y10 J10\nG1 Y20\nG40\nG1 X-9": [(8, 10), (8, 20), (-9, 20)],
     "G41.1 D-4\nX10\nG3 X15 Y5 J5\nG40\nG1 X30": [(10, -2), (17, 5), (30, 5)],
     "G41.1 D4\nX10\nG3 X15 Y5 J5\nG1 X5\nG40\nX-9": [(10, 2), (math.sqrt(5) + 10, 3), (5, 3), (-9, 5)],
+    "G41.1 D4\nX10\nG0 Z5\nG40\nG0 Z5\nG1 X20": [(10, 2, 0), (20, 0, 5)],  # beside the contour at its height
+    # around a cusp of two arcs, and into it: the tool of radius 0.5 touches circles of 4.5 and 2.5, 3 apart
+    "G41.1 D1\nX10\nG3 X15 Y5 J5\nG2 X13 Y3 I-2\nG1 X9\nG40\nX0": [
+        (10, 0.5),
+        (10 + 23 / 6, 5 - math.sqrt(4.5**2 - (23 / 6) ** 2)),
+        (13, 2.5),
+        (9, 2.5),
+        (0, 3),
+    ],
+    "G42.1 D1\nX10\nG3 X15 Y5 J5\nG2 X13 Y3 I-2\nG1 X9\nG40\nX0": [
+        (10, -0.5),
+        (15.5, 5),
+        (14.5, 5),
+        (13, 3.5),
+        (9, 3.5),
+        (0, 3),
+    ],
     "G18\nG41.1 D4\nZ10\nX10\nG40\nX20 Z0": [(2, 0, 8), (10, 0, 8), (20, 0, 0)],
     "X EXISTS[#9] Y EXISTS[#99999]": [(1, 0)],
     # back along the same line: around its end
@@ -85,7 +103,7 @@ REFUSED = {
     **dict.fromkeys(("X#9", "X#<a>", "#1=#0", "X#5161"), "has no value|is no parameter"),
     **dict.fromkeys(("#5220=1", "#<_x>=1"), "belongs to the control"),
     **dict.fromkeys(("X[1", "X[", "X" + "[" * 200, "X[1+]", "#1", "X ATAN[1]", "EXISTS[1]"), "bracket|value|word"),
-    **dict.fromkeys(("G92 X5\nG52 X1", "G52 X1\nG92 X5", "G52 X1\nG92.1"), "controls differ|one work offset"),
+    **dict.fromkeys(("G92 X5\nG52 X1", "G52 X1\nG92 X5"), "controls differ"),
     "G41 D1\nX10": "radius of the tool is not known",
     "G41.1 D4\nX2": "longer than the radius of the tool",
     "G41.1 D4\nX9\nG3 X9 Y4 J2": "not larger than the radius of the tool",
@@ -94,6 +112,7 @@ REFUSED = {
     "G41.1 D4\nX9\nG28 Z0": "a move home while G41",
     "G41.1 D4\nX9\nG42.1 D4\nX20": "without G40",
     "G41.1 D4\nX9\nG40\nZ5": "after the compensation is along z",
+    "F1E11\nX9": "between 0 and 1e.10",
     "#1=41\nG#1 D1\nX5": "a number that is not computed",
     "G41.1 D4\nX9\nG5.1 X9 Y9 I2 J2": "straight moves and arcs",
     **dict.fromkeys(("@1 X2", "G18 @3 ^2", "G16 G91 X3"), "a radius and an angle"),
@@ -236,6 +255,7 @@ START = "G21 G90\nT1 M6\nG0 X0 Y0 Z0\n"
     ("G65 P7", "O7.CNC", FANUC, 1), ("L7 P2", "L007.SPF", "G91 G1 X1 F600\nG90\nM17\n", 2),
     ("L7", "L7.SPF", "%_N_L7_SPF\nPROC L7 SAVE DISPLOF\nG1 X7 F600\nRET\n", 7),
     ("o<a pocket> call [4]", "A Pocket.ngc", "o<a pocket> sub\nG1 X#1 F600\no<a pocket> endsub", 4),
+    ("#1=7\nM98 P#1 L2", "7.ngc", FANUC, 2), ("#1=7\no#1 call [4]", "7.ngc", "o7 sub\nG1 X#1 F600\no7 endsub", 4),
     ("M98 P7", "subs/O7.nc", "G1 X5 F600\nM98 P8\nM99\n", 6),
 ])  # fmt: skip
 def test_a_call_finds_the_file_of_its_name_or_number(tmp_path, call, file, text, end):
@@ -244,7 +264,7 @@ def test_a_call_finds_the_file_of_its_name_or_number(tmp_path, call, file, text,
     (tmp_path / "part.nc").write_text(f"{START}{call}\nM30\n")
     (tmp_path / file).write_text(text)
     path = read_gcode(tmp_path / "part.nc")
-    assert 1e3 * path.position[-1, 0] == pytest.approx(end) and set(path.line[1:].tolist()) == {4}
+    assert 1e3 * path.position[-1, 0] == pytest.approx(end) and set(path.line[1:].tolist()) == {4 + call.count(chr(10))}
     assert path.program.files[0] == str(tmp_path / file)
 
 
@@ -257,6 +277,7 @@ def test_a_call_finds_the_file_of_its_name_or_number(tmp_path, call, file, text,
     ("M98 P7", {"O7.nc": FANUC, "0007.nc": FANUC}, "0007.nc and O7.nc are the same sub-program; remove one"),
     ("M98 P7", {"O7.nc": "G1 X1 F600\n"}, "line 4: O7.nc, line 3: the sub-program does not end"),
     ("M98 P7", {"O7.nc": "G84 X1 Z-1 R1 F600\nM99"}, "part.nc, line 4: O7.nc, line 1: G84; leave threads"),
+    ("#1=7\no[#1] call", {"O7.nc": "o7 sub\no8 sub\no8 endsub\no7 endsub"}, "line 5: O8 is defined in another"),
     ("M98 P7", {"O7.nc": "M98 P7\nM99"}, "O7.nc, line 1: more than 10 sub-programs call one another"),
     ("o<a> call", {"a.ngc": "o<a> sub\no1 sub\no1 endsub\no<a> endsub"}, "a.ngc, line 2: O1 is defined in another"),
     ("M98 P7", {"O7.nc": "\0"}, "O7.nc, line 1: holds a zero byte"),

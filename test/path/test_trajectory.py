@@ -12,11 +12,10 @@ from scipy.spatial.transform import Rotation, Slerp
 from splines import spline
 
 from kr270_milling.base.errors import InputError
-from kr270_milling.decide.path_limits import corner_blending
+from kr270_milling.decide.check_arm import corner_blending
 from kr270_milling.decide.programs.krl import Program
 from kr270_milling.decide.programs.points import point_numbers
-from kr270_milling.path.trajectory import AT_REST, TOOL_DOWN, Trajectory, TrajectoryError
-from kr270_milling.path.trajectory_csv import read_csv, write_csv
+from kr270_milling.path.trajectory import AT_REST, TOOL_DOWN, Trajectory, TrajectoryError, read_csv, write_csv
 from kr270_milling.physics.compensation.revision import corrected, resting_segments
 
 TIME = np.array([0, 50_000_000, 100_000_000, 170_000_000, 250_000_000])

@@ -10,7 +10,7 @@ from budget import budget
 
 from kr270_milling.base.errors import InputError
 from kr270_milling.base.table import read_table
-from kr270_milling.path.cam.apt.reader import _AptReader
+from kr270_milling.path.cam.apt import _AptReader
 from kr270_milling.path.cam.gcode.interpreter import Interpreter
 from kr270_milling.path.cam.gcode.reader import GcodeReader
 from kr270_milling.path.cam.gcode.words import G_GROUPS, M_GROUPS

@@ -7,7 +7,7 @@ import numpy as np
 
 from kr270_milling.base.parameter_file import find_file
 from kr270_milling.physics.cutting import LinearEdgeLaw, Tool
-from kr270_milling.physics.cutting.materials import find_material
+from kr270_milling.physics.cutting.laws import find_material
 from kr270_milling.physics.robot.analysis import read_arm
 from kr270_milling.studies.identification.compliance import Measurements, Problem, fit_compliance
 from kr270_milling.studies.identification.forces import CutMeasurements, agreeing_cuts, engagement_angles, fit_forces

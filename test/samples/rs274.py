@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from kr270_milling.base.errors import InputError
-from kr270_milling.base.text import read_lines
+from kr270_milling.base.files import read_lines
 from kr270_milling.path.cam.gcode.interpreter import Interpreter
 from kr270_milling.path.cam.gcode.reader import GcodeReader, changes_by_m6
 from kr270_milling.path.cam.program_builder import ProgramBuilder

@@ -1,4 +1,4 @@
-"""Straight cuts of a tilted cutter of revolution, and the quadrature of the mean force over its edge.
+"""Straight cuts of a cutter of revolution, upright and tilted, and the quadrature of the mean force over its edge.
 
 The quadrature needs no map: a convex tool on a straight way first meets each point of the material with the part of its
 surface where d.n > 0. It sums the law over all such places inside the stock.
@@ -10,7 +10,6 @@ import numpy as np
 from samples.cuttings import LAWS
 
 from kr270_milling.physics.cutting import AL7075_T6, Cutting, EngagementCut, Stock, Tool
-from kr270_milling.physics.cutting.profile import outline
 
 RADIUS, TEETH, FEED = 5e-3, 4, 0.125e-3  # [m]; feed per tooth
 SPEED = 8000.0 * math.pi / 30.0  # [rad/s]
@@ -25,6 +24,7 @@ TOOLS = {
     "ball": FLAT.replace(type="ball"),
     "bull": FLAT.replace(type="bull_nose", corner_radius=1e-3),
     "taper": FLAT.replace(type="tapered", taper=math.radians(20.0), tip_diameter=4e-3),
+    "point": FLAT.replace(type="tapered", taper=math.radians(45.0)),
 }
 
 
@@ -39,15 +39,19 @@ def edge(tool: Tool, sigma=None) -> tuple[np.ndarray, ...]:
 
     sigma: their middles, at equal distances along the edge [m].
     """
-    points = np.vstack([outline(tool), [outline(tool)[-1, 0], outline(tool)[-1, 1] + 15e-3]])
-    step = np.diff(points, axis=0)
-    length = np.hypot(*step.T)
-    ends = np.concatenate([[0.0], np.cumsum(length)])
+    corner = {"ball": RADIUS, "bull_nose": tool.corner_radius}.get(tool.type, 0.0)
+    taper = tool.taper if tool.type == "tapered" else 0.0
+    tip = tool.tip_diameter / 2 if taper else RADIUS - corner
+    lengths = [tip, corner * math.pi / 2, (RADIUS - tip) / math.sin(taper) if taper else 0.0, 15e-3]
     if sigma is None:
-        sigma = (np.arange(2000) + 0.5) * ends[-1] / 2000
-    k = np.clip(np.searchsorted(ends, sigma) - 1, 0, length.size - 1)
-    place = points[k] + ((sigma - ends[k]) / length[k])[:, None] * step[k]
-    return (*place.T, np.arctan2(step[k, 1], step[k, 0]), np.full(sigma.size, sigma[1] - sigma[0]))
+        sigma = (np.arange(2000) + 0.5) * sum(lengths) / 2000
+    starts = np.cumsum([0.0, *lengths[:-1]])
+    end, arc, cone, side = (np.clip(sigma - start, 0.0, length) for start, length in zip(starts, lengths, strict=True))
+    turn = arc / max(corner, 1e-12)
+    kappa = np.where(side > 0.0, math.pi / 2, np.where(cone > 0.0, math.pi / 2 - taper, turn))
+    r = end + corner * np.sin(turn) + cone * math.sin(taper)
+    h = corner * (1.0 - np.cos(turn)) + cone * math.cos(taper) + side
+    return r, h, kappa, np.full(sigma.size, sigma[1] - sigma[0])
 
 
 def quadrature(tool: Tool, cutting: Cutting, axis, move, passes: float, inside, turns: int = 1000):
@@ -59,7 +63,7 @@ def quadrature(tool: Tool, cutting: Cutting, axis, move, passes: float, inside, 
     ahead = move - np.dot(move, axis) * axis
     ahead = ahead / np.linalg.norm(ahead) if np.linalg.norm(ahead) > 1e-12 else np.array([axis[2], 0.0, -axis[0]])
     side = np.cross(axis, ahead)
-    low, high = np.array([0.0, -math.pi]), np.array([15e-3 + np.hypot(*np.diff(outline(tool).T)).sum(), math.pi])
+    low, high = np.array([0.0, -math.pi]), np.array([edge(tool)[3].sum(), math.pi])
     for _ in range(3):
         sigma, phi = (a + (np.arange(turns) + 0.5) / turns * (b - a) for a, b in zip(low, high, strict=True))
         r, h, kappa, length = (column[:, None] for column in edge(tool, sigma))
@@ -84,7 +88,8 @@ def quadrature(tool: Tool, cutting: Cutting, axis, move, passes: float, inside, 
 
 def lowest(tool: Tool, axis) -> float:
     """Return the height of the lowest point of a tilted tool above its tip [m]."""
-    return float(min(h * axis[2] - r * math.hypot(*axis[:2]) for r, h in outline(tool)))
+    r, h, _, _ = edge(tool)
+    return float(min(0.0, np.min(h * axis[2] - r * math.hypot(*axis[:2]))))
 
 
 def swept_widths(tool: Tool, depth: float, tilt) -> tuple[float, float]:
@@ -106,7 +111,7 @@ def measured(tool: Tool, cutting: Cutting, tilt, sides, depth=2e-3, dt=4e-3, gri
     """
     axis, n = axis_of(tilt), round(SPEED * dt / MICRO_STEP)
     stock = Stock(min=np.array([0.0, sides[0], -12e-3]), max=np.array([32e-3, sides[1], 0.0]), grid_step=grid_step)
-    cut = EngagementCut(tool, cutting, stock, MICRO_STEP, bins, tilts=True)
+    cut = EngagementCut(tool, cutting, stock, MICRO_STEP, bins, tilts=any(tilt))
     step = VELOCITY * n * MICRO_STEP / SPEED
     x = np.arange(-3.0 * RADIUS, 18e-3, step)
     path = np.column_stack([x, 0.0 * x, 0.0 * x - depth - lowest(tool, axis)])
@@ -128,12 +133,11 @@ def ramp_error(tool: Tool, cutting: Cutting, tilt, slope: float, dt=4e-3) -> flo
     """
     axis, n, side = axis_of(tilt), round(SPEED * dt / MICRO_STEP), 12e-3
     stock = Stock(min=np.array([0.0, -side, -14e-3]), max=np.array([40e-3, side, 0.0]), grid_step=1e-4)
-    cut = EngagementCut(tool, cutting, stock, MICRO_STEP, tilts=True)
-    step = (
-        VELOCITY * n * MICRO_STEP / SPEED * np.array([math.cos(math.radians(slope)), 0, -math.sin(math.radians(slope))])
-    )
-    way = np.arange(-12e-3, 1e-3, np.linalg.norm(step))
-    path = np.array([20e-3, 0.0, -2e-3 - lowest(tool, axis)]) + way[:, None] * step / np.linalg.norm(step)
+    cut = EngagementCut(tool, cutting, stock, MICRO_STEP, tilts=any(tilt))
+    size, down = VELOCITY * n * MICRO_STEP / SPEED, math.radians(slope)
+    step = size * np.array([math.cos(down), 0.0, -math.sin(down)])
+    way = np.arange(-12e-3, 1e-3, size)
+    path = np.array([20e-3, 0.0, -2e-3 - lowest(tool, axis)]) + way[:, None] * step / size
     wrench, _, _ = cut.along(path, n * np.arange(way.size), axes=np.tile(axis, (way.size, 1)))
     chosen, exact = np.flatnonzero(way > -1e-3), []
     lag = 0.5 + math.pi / TEETH / (n * MICRO_STEP)  # the middle of a step, and half a pitch of the teeth

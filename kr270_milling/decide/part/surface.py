@@ -12,24 +12,173 @@ the grid step does not blur the error.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
+from numba import njit
 from scipy.ndimage import distance_transform_edt, maximum_filter, minimum_filter
 from scipy.spatial import cKDTree
 
+from kr270_milling.base.files import write_files
+from kr270_milling.base.frames import tool_axis
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.models import cut_of, flat_floors, path_of
+from kr270_milling.cell.paths import CellPath
 from kr270_milling.cell.stage import Removal, cleared, swept
-from kr270_milling.decide.part.stations import Stations
-from kr270_milling.decide.part.workpiece import heights_at, machined
+from kr270_milling.path.trajectory import Trajectory
 from kr270_milling.physics.cutting import CutModel, Stock, Tool
+from kr270_milling.physics.cutting.grid import TILE
+from kr270_milling.physics.motion.milling_pass import PassResult
+from kr270_milling.physics.motion.periods import Clock
+
+
+@dataclass(frozen=True, eq=False)
+class Stations:
+    """The target of a pass at the ends of its n exchange periods (first row: the start), workpiece frame."""
+
+    distance: np.ndarray  #: [m], (n + 1,), along the tool path
+    tangent: np.ndarray  #: unit vectors, (n + 1, 3), also while the tool rests
+    heading: np.ndarray  #: [rad], (n + 1,), of the tangent in the xy plane; moves along the spindle keep the last one
+    feature: np.ndarray  #: (n + 1,), index into ``features``
+    features: tuple[str, ...]
+    drilling: np.ndarray  #: in a drilling cycle, (n + 1,) bool
+
+    @property
+    def left(self) -> np.ndarray:
+        """Horizontal unit normal to the left of the path, (n + 1, 2)."""
+        return np.column_stack([-np.sin(self.heading), np.cos(self.heading)])
+
+
+def stations_of(programmed: CellPath, time_ns: np.ndarray) -> Stations:
+    """Return the stations of the programmed path at times [ns], (n + 1,)."""
+    timed = programmed.timed
+    if timed is None:
+        target = programmed.target
+        distance = np.linalg.norm(target.sample(time_ns) - target.position[0], axis=1)
+        along = target.position[-1] - target.position[0]
+        tangent = np.tile(along / np.linalg.norm(along), (time_ns.size, 1))
+        return Stations(
+            distance,
+            tangent,
+            _headings(tangent),
+            np.zeros(time_ns.size, np.int64),
+            ("straight cut",),
+            np.zeros(time_ns.size, bool),
+        )
+    path, distance = timed.toolpath, timed.distance_at(time_ns)
+    _, tangent, _ = path.on_path(distance)
+    feature = path.feature[path.block_at(distance)]
+    names = tuple(name or "unnamed" for name in path.features)
+    return Stations(distance, tangent, _headings(tangent), feature, names, programmed.drilling_at(time_ns))
+
+
+def _headings(tangent: np.ndarray) -> np.ndarray:
+    upright = 1e-6  # horizontal part of a unit tangent below which the tool moves along the spindle
+    level = np.hypot(tangent[:, 0], tangent[:, 1]) > upright
+    if not level.any():
+        return np.zeros(len(tangent))
+    last = np.maximum.accumulate(np.where(level, np.arange(level.size), -1))
+    rows = tangent[np.where(last < 0, np.argmax(level), last)]
+    return np.arctan2(rows[:, 1], rows[:, 0])
+
+
+def deviations(path: Stations, error: np.ndarray) -> np.ndarray:
+    """Tangential, normal (to the left) and vertical part of actual minus target, both (n + 1, 3) [m]."""
+    normal = np.sum(error[:, :2] * path.left, axis=1)
+    return np.column_stack([np.sum(error * path.tangent, axis=1), normal, error[:, 2]])
+
+
+def machined(cut: CutModel, positions: np.ndarray, clock: Clock, run: Trajectory | None = None) -> CutModel:
+    """Move the tool tip through positions (n + 1, 3) [m] of a fresh workpiece, and return the workpiece.
+
+    One exchange period lies between two positions, workpiece frame. Positions of the target leave the part of a rigid
+    arm. run: states the axis of a tool that tilts. Raises MillingError.
+    """
+    steps, axes = np.arange(len(positions)), None
+    if run is not None and cut.tilts:
+        axes = tool_axis(run.sample_orientation(clock.stamp(steps)))
+    cut.along(positions, steps * clock.micro_steps, axes=axes)
+    return cut
+
+
+def heights_at(cut: CutModel, xy: np.ndarray) -> np.ndarray:
+    """The part's surface z [m], (m,), at the nodes nearest to points (m, 2) [m]; NaN beside the stock."""
+    stock, state = cut.stock, cut.state
+    place = (np.asarray(xy, float) - stock.min[:2]) / stock.grid_step
+    inside = np.all((place >= 0) & (place < stock.nodes), axis=1)
+    ix, iy = np.floor(np.where(inside[:, None], place, 0.0)).astype(np.int64).T
+    slot = state.table[ix // TILE, iy // TILE].astype(np.int64)
+    index = (np.maximum(slot, 0) * TILE + ix % TILE) * TILE + iy % TILE
+    level = np.where(slot >= 0, state.pool[index], 0)
+    return np.where(inside, stock.max[2] - level * cut.params.level_step, np.nan)
+
+
+def write_part(path, cut: CutModel, result: PassResult, clock: Clock, run: Trajectory | None = None) -> int:
+    """``write_stl`` of the part that a pass left. It is swept again only where the pass has no map that is as fine.
+
+    cut: a fresh workpiece; run: as in ``machined``.
+    """
+    if result.heights is None or cut.map_thinning > _thinning(cut):
+        return write_stl(path, machined(cut, result.actual, clock, run))
+    return write_stl(path, cut, (*cut.map_heights()[:2], result.heights))
+
+
+def write_stl(path, cut: CutModel, lattice: tuple[np.ndarray, ...] = ()) -> int:
+    """Write the part of ``cut`` as seen in heights 0.25 mm apart, coordinates in mm; returns the triangles.
+
+    A large part has 4 million triangles at most. lattice: x (a,), y (b,) and heights (a, b) [m] in place of those of
+    the cut. The file appears whole or not at all. Raises InputError where it cannot be written.
+    """
+    triangle = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
+    stock = cut.stock
+    x, y, z = lattice or cut.heights(thinning=_thinning(cut))
+    x, y = (np.concatenate([[stock.min[k]], axis, [stock.max[k]]]) for k, axis in enumerate((x, y)))  # to the borders
+    least = stock.min[2] + cut.params.level_step  # where the tool went through, a skin is left: the surface is one
+    z = np.maximum(np.pad(z, 1, mode="edge"), least)
+    triangles = _triangles(x * 1e3, y * 1e3, z * 1e3, float(stock.min[2]) * 1e3)
+    record = np.zeros(len(triangles), triangle)
+    record["corners"] = triangles
+    corners = record["corners"].astype(float)
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    length = np.linalg.norm(normal, axis=1, keepdims=True)
+    record["normal"] = normal / np.where(length > 0, length, 1.0)
+    header = b"kr270_milling machined part, mm".ljust(80)
+    write_files({Path(path): (header + np.uint32(len(record)).tobytes(), record.view(np.uint8))})
+    return len(record)
+
+
+def _thinning(cut: CutModel) -> int:
+    """Return the number of nodes between two that are shown: 0.25 mm, or as many as a large part needs."""
+    fine = 0.25e-3  # [m]
+    thinning = max(1, round(fine / cut.stock.grid_step))
+    most_triangles = 4_000_000  # 200 MB
+    while True:
+        x, y = (-(-n // thinning) + 2 for n in cut.stock.nodes)
+        if 2 * x * y + 6 * (x + y) <= most_triangles:
+            return thinning
+        thinning = math.ceil(1.1 * thinning)
+
+
+def _triangles(x: np.ndarray, y: np.ndarray, z: np.ndarray, bottom: float) -> np.ndarray:
+    """(m, 3, 3), counterclockwise seen from outside."""
+    grid = np.stack([*np.meshgrid(x, y, indexing="ij"), z], -1)
+    border = np.concatenate([grid[:-1, 0], grid[-1, :-1], grid[:0:-1, -1], grid[0, ::-1]])  # around, closed
+    under = border.copy()
+    under[:, 2] = bottom
+    middle = np.broadcast_to([0.5 * (x[0] + x[-1]), 0.5 * (y[0] + y[-1]), bottom], under[1:].shape)
+    floor = np.stack([under[1:], under[:-1], middle], axis=1)
+    return np.concatenate([_sheet(grid), _sheet(np.stack([under, border], axis=1)), floor])
+
+
+def _sheet(p: np.ndarray) -> np.ndarray:
+    """Two triangles for each mesh of points (a, b, 3); their outside is where the first axis turns to the second."""
+    a, b, c, d = p[:-1, :-1], p[1:, :-1], p[1:, 1:], p[:-1, 1:]
+    return np.stack([np.stack([a, b, c], -2), np.stack([a, c, d], -2)], -3).reshape(-1, 3, 3)
+
 
 SLOPE = 0.02  #: a steeper floor is a wall
-STEEP = 2.75  #: assumed, tangent of 70 deg: on a steeper surface a node of the map is three of its steps high
-
-CHUNK = 5_000  #: marks at once, with the neighbours of each 25 kB
-CORNER = 0.1  #: [rad] a larger turn of the path within a period is a corner
 
 
 #: passage of a tooth by the left or right of the path of a rigid arm
@@ -59,7 +208,8 @@ def marks(tool: Tool, path: Stations, period: float, rigid: np.ndarray) -> np.nd
     """All marks, MARK, of a pass with tool centres (n + 1, 3) [m] every ``period`` [s]; for each side by time."""
     heading = np.unwrap(path.heading)
     first, last = heading[:-1], heading[1:]
-    corner = np.abs(last - first) > CORNER  # there the path turns at once to its new direction
+    # [rad] a larger turn of the path within a period is a corner
+    corner = np.abs(last - first) > 0.1  # there the path turns at once to its new direction
     first = np.where(corner, last, first)
     turn, rows = period * tool.spindle_speed, []
     relative = np.arange(len(rigid)) * turn - tool.sense * heading
@@ -113,29 +263,29 @@ def remaining_walls(ideal: IdealPart, path: Stations, error: np.ndarray) -> Wall
     staying = hits[ideal.staying]
     moved = (error[k] + hits["share"][:, None] * (error[k + 1] - error[k]))[:, :2]
     own = np.einsum("kd,kd->k", moved[ideal.staying], staying["normal"])
-    missed = -_reach(hits, moved, staying, own, 2.0 * ideal.level)
+    _fill_reach(moved, np.ascontiguousarray(staying["normal"]), *ideal.near, own)
     position = np.column_stack([tooth_tips(staying), staying["centre"][:, 2]])
-    return Walls(position, -staying["normal"], ideal.wall_height, missed, path.feature[staying["period"]])
+    return Walls(position, -staying["normal"], ideal.wall_height, -own, path.feature[staying["period"]])
 
 
-def _reach(hits: np.ndarray, error: np.ndarray, staying: np.ndarray, own: np.ndarray, level: float) -> np.ndarray:
-    """Return the reach of the teeth beyond that of rigid ones at each staying mark [m], (k,).
+def neighbours(hits: np.ndarray, staying: np.ndarray, level: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the marks on the wall of each staying mark that are near it.
 
-    error (m, 2) [m]: shifts of the teeth. own: reach of the tooth of the mark itself [m], (k,); it counts
-    alone where a tool rests so long that all the nearest marks are of other walls.
+    The number of them, (k,), their indices, (m,), and how far a rigid tooth reaches at the mark [m], (m,). A mark has
+    none where a tool rests so long that all the nearest marks are of other walls.
     """
-    out = np.array(own)
-    if not out.size:
-        return out
-    tree = cKDTree(tooth_tips(hits))
+    chunk = 5_000  # marks at once, with the neighbours of each 25 kB
+    counts, indices, reaches = [np.zeros(0, int)], [np.zeros(0, int)], [np.zeros(0)]
+    if staying.size:
+        tree = cKDTree(tooth_tips(hits), balanced_tree=False, compact_nodes=False)
     deepest = 20e-6  # [m]; marks this much deeper than their neighbours still are weighed against them
-    bound = float(np.sqrt(2.0 * hits["radius"].max() * deepest))
-    neighbours = 48  # at most; a tool that rests marks one place with every tooth
+    most = 48  # marks; a tool that rests marks one place with every tooth
     parallel = 0.98  # cosine between normals of one wall
-    for first in range(0, out.size, CHUNK):
-        mine = staying[first : first + CHUNK]
+    for first in range(0, staying.size, chunk):
+        mine = hits[staying[first : first + chunk]]
         place, normal = tooth_tips(mine), mine["normal"]
-        _, near = tree.query(place, k=min(neighbours, len(hits)), distance_upper_bound=bound)
+        bound = float(np.sqrt(2.0 * hits["radius"].max() * deepest))
+        _, near = tree.query(place, k=min(most, len(hits)), distance_upper_bound=bound)
         near = near.reshape(len(mine), -1)
         exists = near < len(hits)
         near = np.where(exists, near, 0)
@@ -145,12 +295,27 @@ def _reach(hits: np.ndarray, error: np.ndarray, staying: np.ndarray, own: np.nda
         away = theirs["centre"][..., :2] - place[:, None]
         across = away[..., 0] * normal[:, None, 1] - away[..., 1] * normal[:, None, 0]
         arc = np.sqrt(np.maximum(theirs["radius"] ** 2 - across**2, 0.0))
-        rigid = np.einsum("mkd,md->mk", away, normal) + arc
-        moved = rigid + np.einsum("mkd,md->mk", error[near], normal)
-        farthest = [np.where(same, reach, -np.inf).max(axis=1) for reach in (moved, rigid)]
-        known = same.any(axis=1)
-        out[first : first + CHUNK][known] = farthest[0][known] - farthest[1][known]
-    return out
+        counts.append(same.sum(axis=1))
+        indices.append(near[same])
+        reaches.append((np.einsum("mkd,md->mk", away, normal) + arc)[same])
+    return np.concatenate(counts), np.concatenate(indices), np.concatenate(reaches)
+
+
+@njit(cache=True, nogil=True)
+def _fill_reach(moved, normal, counts, near, rigid, own):
+    """Replace the reach of each tooth [m], (k,), by that of the farthest tooth near it, beyond that of rigid teeth.
+
+    moved (m, 2) [m]: shifts of the teeth; normal (k, 2); counts, near, rigid: of ``neighbours``.
+    """
+    n = 0
+    for k in range(own.size):
+        farthest = most = -np.inf
+        for _ in range(counts[k]):
+            shift = moved[near[n], 0] * normal[k, 0] + moved[near[n], 1] * normal[k, 1]
+            farthest, most = max(farthest, rigid[n] + shift), max(most, rigid[n])
+            n += 1
+        if counts[k]:
+            own[k] = farthest - most
 
 
 @dataclass(frozen=True, eq=False)
@@ -181,6 +346,7 @@ class IdealPart:
     marks: np.ndarray  #: MARK, below the top of the stock
     staying: np.ndarray  #: indices of the marks on a wall that stays, (k,)
     wall_height: np.ndarray  #: height of the wall there [m], (k,)
+    near: tuple[np.ndarray, np.ndarray, np.ndarray]  #: neighbours of these marks, see ``neighbours``
     level: float  #: level step of the height map [m]
     thinning: int
     unjudged: np.ndarray  #: floors of holes and of other tools, (a, b) bool
@@ -213,7 +379,8 @@ def ideal_part(cell: Cell, path: Stations, target: np.ndarray) -> IdealPart:
     if cell.stage:
         unjudged |= owner < 0
     thinning = cut.map_thinning
-    return IdealPart(x, y, height, owner, passages, staying, wall_height, level, thinning, unjudged)
+    near = neighbours(passages, staying, 2.0 * level)
+    return IdealPart(x, y, height, owner, passages, staying, wall_height, near, level, thinning, unjudged)
 
 
 def surface(
@@ -262,11 +429,12 @@ def _floors(stock: Stock, ideal: IdealPart, height: np.ndarray, largest: float, 
 def _curved(stock: Stock, ideal: IdealPart, height: np.ndarray) -> Floors:
     """The error along the normal of the rigid arm's surface: the difference of heights times the cosine of the slope.
 
-    Steeper places than ``STEEP`` are left out: the nodes of the map do not resolve them.
+    Places steeper than 70 deg are left out: the nodes of the map do not resolve them.
     """
+    steep = 2.75  # assumed, tangent of 70 deg: on a steeper surface a node of the map is three of its steps high
     spacing = stock.grid_step * ideal.thinning
     slope = np.hypot(*np.gradient(ideal.height, spacing))
-    cut = ~ideal.unjudged & (slope < STEEP) & (ideal.height < stock.max[2] - 0.5 * ideal.level)
+    cut = ~ideal.unjudged & (slope < steep) & (ideal.height < stock.max[2] - 0.5 * ideal.level)
     border = maximum_filter(~cut, 3, mode="constant")  # the slope there is that of an edge
     error = np.where(cut & ~border, (height - ideal.height) / np.hypot(1.0, slope), np.nan)
     return Floors(ideal.x, ideal.y, ideal.height, error, ideal.owner, curved=True)

@@ -1,11 +1,17 @@
 """Files for a controller, from a cell and its original and revised trajectory: programs, offsets, joint positions.
 
 The manifest beside them says which file goes where, and in which order to try them.
+
+The RSI context of a KR C4 (RSI 3) makes six corrections from ETHERNET to POSCORR, in $BASE. The numbers of objects and
+parameters are those of two public projects that run such a context: otherworld-dev/rsi-pi (KR 16-2, KSS 8.3) and
+cjlh/kuka-rsi-ros-interface (KR 3 R540, KSS 8.3, RSI 3.3). Precision and time-out are those of
+ros-industrial/kuka_experimental. RSI 5 reads another format.
 """
 
 from __future__ import annotations
 
 import dataclasses
+import ipaddress
 import re
 import shutil
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
@@ -25,13 +31,11 @@ from kr270_milling.cell.models import arm_of, path_of
 from kr270_milling.cell.paths import CellPath
 from kr270_milling.cell.sections import Program
 from kr270_milling.decide.programs import krl, krl_motion
-from kr270_milling.decide.programs.rsi_context import write_rsi_context
-from kr270_milling.path.trajectory import Trajectory, TrajectoryError, offsets
-from kr270_milling.path.trajectory_csv import write_csv
+from kr270_milling.decide.programs.krl_motion import frame_row, frame_text
+from kr270_milling.path.trajectory import Trajectory, TrajectoryError, offsets, write_csv
 from kr270_milling.physics.robot import pose, status_turn
 from kr270_milling.physics.robot.errors import JointLimitError, ReachError, SingularityError
 
-AT_ZERO = np.radians(1e-3)  #: an axis nearer to zero has no certain sign: points are written to 0.1 um
 RSI_TICKS_NS = (4_000_000, 12_000_000)
 TABLES = ("joints", "rsi")  #: that ``write_programs`` can write beside the programs
 NOT_RELEASED = "NOT_RELEASED"  #: name of a program that must not be run
@@ -126,7 +130,6 @@ def write_programs(
     parts = [(0, len(original) - 1)]
     for motion in dict.fromkeys(() if motions is None else motions or (program.motion,)):
         folder = place / f"krl_{motion.lower()}_{label}"
-        folder.mkdir(parents=True, exist_ok=True)
         written, points, ends = krl.write_krl(folder, program.replace(motion=motion), setup, *commanded, notes, feeds)
         files[f"krl_{motion.lower()}"] = written
         parts = parts if programs else ends  # of the first motion: RSI runs it
@@ -136,7 +139,6 @@ def write_programs(
         limits = limits or krl.time_statements(program.replace(motion=motion), setup)
     if rsi and motions is not None:
         folder = place / f"rsi_{label}"
-        folder.mkdir(parents=True, exist_ok=True)
         limit, lines = cell.compensation.max_correction, setup.heading(program, "ORG", commanded[0])
         files["rsi_context"] = write_rsi_context(folder, program, setup, limit, rsi, lines, len(parts))
     tick_ns = cell.compensation.tick_ns
@@ -225,7 +227,8 @@ def _approach(cell: Cell, run: Trajectory, knot: int) -> tuple[np.ndarray, int, 
             raise InputError("program.safe_height_mm", f"the approach cannot be reached: {error}") from None
         status, turn = status_turn(cell.arm, joints)
         approaches.append((above[0] + [*shift, 0.0], int(status), int(turn)))
-        if np.abs(joints).min() > AT_ZERO:
+        # an axis nearer to zero has no certain sign: points are written to 0.1 um
+        if np.abs(joints).min() > np.radians(1e-3):
             return approaches[-1]
     return approaches[0]
 
@@ -335,3 +338,54 @@ def _write_rows(path, names: str, time_ns: np.ndarray, rows: np.ndarray, text: C
                 yield f"{seconds(time)},{','.join(map(text, row))}\n"
 
     write_files({path: lines()})
+
+
+PORT = 49152  #: default port of the command ``rsi``
+
+
+def rsi_address(text: str) -> tuple[str, int]:
+    """Return host and port of "192.168.1.10" or "192.168.1.10:49152"; raise InputError."""
+    host, _, port = text.partition(":")
+    number = port or str(PORT)
+    try:
+        ipaddress.IPv4Address(host)
+    except ValueError:
+        raise InputError("--rsi", f"{text[:40]!r} needs the IPv4 address of the host, such as 192.168.1.10") from None
+    if not (number.isascii() and number.isdecimal() and 1 <= int(number) <= 65535):
+        raise InputError("--rsi", f"the port {number[:20]!r} must be a whole number from 1 to 65535")
+    return host, int(number)
+
+
+def write_rsi_context(
+    directory,
+    program: Program,
+    setup: krl.Setup,
+    limit: float,
+    address: tuple[str, int],
+    notes: list[str],
+    parts: int = 1,
+) -> list[Path]:
+    """Write ETHERNET settings, context and frame program, which runs NAME_ORG; return the paths.
+
+    limit [m]: largest displacement along each axis of $BASE; address: of the host of ``kr270_milling rsi``; notes:
+    comment lines of the header; parts: a frame program for each part of NAME_ORG, NAME_RSI_P1 runs NAME_ORG_P1.
+    """
+    name, place = program.name, Path(directory)
+    tool, base = (f"{{{frame_text(frame_row(frame))}}}" for frame in (setup.tool, setup.base))
+    host, port = address
+    limits = {f"LowerLim{axis}": f"{-1e3 * limit:g}" for axis in "XYZ"}  # [mm]
+    limits |= {f"UpperLim{axis}": f"{1e3 * limit:g}" for axis in "XYZ"}
+    limits["MaxRotAngle"] = "0.5"  # [deg], that of the command ``rsi`` by default
+    words = dict(program=program, tool=tool, base=base, host=host, port=port, limits=limits.items())
+    files: dict[Path, Iterable[str]] = {}
+    for part in [f"_P{n}" for n in range(1, parts + 1)] if parts > 1 else [""]:
+        body, context, model, ethernet = krl.filled("rsi_program.txt", part=part, **words).split("\u00b6\n")
+        source = [*krl.HEAD, f"DEF {name}_RSI{part}( )", *notes, *body.splitlines(), "END"]
+        files[place / f"{name}_RSI{part}.src"] = [f"{line}\r\n" for line in source]
+    files |= {
+        place / f"{name}.rsi.xml": [context],
+        place / f"{name}.rsi": [model],
+        place / f"{name}_ethernet.xml": [ethernet],
+    }
+    write_files(files, newline="")
+    return list(files)

@@ -20,8 +20,7 @@ import numpy as np
 
 from kr270_milling.base.column import column, computed
 from kr270_milling.base.errors import InputError
-from kr270_milling.base.files import write_files
-from kr270_milling.base.text import encoding_of
+from kr270_milling.base.files import encoding_of, write_files
 from kr270_milling.base.version import __version__
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import simulate

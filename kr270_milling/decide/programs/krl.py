@@ -149,9 +149,6 @@ def write_krl(
             break
         fitting = program.memory / size * max(end - start for start, end in parts)
         parts = parts_of(len(points), splits, int(0.95 * fitting))
-    for path in files:
-        if path.parent != Path(directory):
-            path.parent.mkdir(parents=True, exist_ok=True)
     write_files({path: (line + "\n" for line in lines) for path, lines in files.items()}, newline="\r\n")
     return list(files), points, ends
 

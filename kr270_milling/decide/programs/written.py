@@ -26,20 +26,19 @@ from kr270_milling.path.controller_motion import controller_motion, places_on_pr
 from kr270_milling.path.trajectory import Trajectory
 
 SOFTER = 0.8  #: share of the acceleration of the second time law
-NOWHERE = Pose(np.zeros(3), np.eye(3))
-CALL = re.compile(r"([A-Z]\w*)\( \)")
 MOTION = re.compile(r"(SPL|LIN|CIRC)(?: \{(X [^}]*)\},| )\{(X [^}]*)\}( C_DIS)?(?: WITH .*)?")
 START = re.compile(r"DECL FRAME XP\d+=\{(.*)\}")
 
 
 def written_trajectory(cell: Cell, planned: Trajectory, motion: str) -> Trajectory:
     """Write the program of a planned reference, read its points back, and join them as the controller does."""
+    nowhere = Pose(np.zeros(3), np.eye(3))
     commanded = planned
     if not cell.compensation.sag_compensated:
         commanded = as_commanded(cell, planned, commanded_joints(arm_of(cell), cell.compensation, planned))
     start = planned.position[0], 0, 0  # of the approach, which is not simulated
     law = (cell.timing.acceleration, cell.timing.jerk) if timed_by_cell(path_of(cell)) else (0.0, 0.0)
-    setup = krl.Setup(NOWHERE, NOWHERE, lambda *_: start, float(cell.stock.max[2]), acceleration=law[0], jerk=law[1])
+    setup = krl.Setup(nowhere, nowhere, lambda *_: start, float(cell.stock.max[2]), acceleration=law[0], jerk=law[1])
     program = cell.krl.replace(motion=motion, name="WRITTEN")
     path, target = path_of(cell), path_of(cell).target
     with tempfile.TemporaryDirectory() as folder:
@@ -143,7 +142,7 @@ def read_krl(directory, main: str) -> tuple[Pose, np.ndarray, np.ndarray]:
         if start and not rows:
             add(start[1], True)
         for line in path.read_text(encoding="ascii").splitlines():
-            if match := CALL.fullmatch(line):
+            if match := re.fullmatch(r"([A-Z]\w*)\( \)", line):
                 run(match[1])
             elif line == "ENDSPLINE":
                 stops[-1] = True

@@ -29,7 +29,7 @@ from kr270_milling.cell.models import cut_of, low_frequency_of, path_of
 from kr270_milling.cell.plant import imperfect_arm, imperfect_course
 from kr270_milling.exchange.inbox import BREAK_NS, PassInbox, ReceivedPass, interpolated
 from kr270_milling.exchange.inputs import WrenchFrames, checked_length, checked_pose, checked_wrench
-from kr270_milling.path.progress import PathProgress
+from kr270_milling.path.toolpath import PathProgress
 from kr270_milling.path.trajectory import Trajectory
 from kr270_milling.physics.motion.milling_pass import PassResult, follow, silent_periods
 from kr270_milling.recordings.bag.reader import Recording

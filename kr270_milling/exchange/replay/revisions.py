@@ -4,17 +4,14 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
-from types import MappingProxyType
+from collections.abc import Iterator
 
 import numpy as np
 
 from kr270_milling.base.errors import MillingError, RecordingError
 from kr270_milling.base.samples import CompensatorState, LearnedRecording
-from kr270_milling.cell.arm import commanded_joints
 from kr270_milling.cell.jobs import compensator
-from kr270_milling.cell.models import arm_of, path_of
+from kr270_milling.cell.models import path_of
 from kr270_milling.exchange.inbox import ReceivedPass
 from kr270_milling.exchange.replay.recorded import Cells, recorded_cells
 from kr270_milling.path.trajectory import Trajectory, fingerprint
@@ -182,8 +179,8 @@ class Revisions:
             rebuilt.revise(self._record(number, named))
         return rebuilt
 
-    def revise(self, method: str | None = None) -> tuple[Compensator, Trajectory, Trajectory | None] | None:
-        """Return the revision after the last complete pass, its target, and the next reference in the recording.
+    def revise(self, method: str | None = None) -> tuple[Compensator, Trajectory | None] | None:
+        """Return the revision after the last complete pass and the next reference in the recording.
 
         None where no pass is complete. method: default the recorded one; another method starts from the reference of
         the pass. Raises MillingError.
@@ -208,64 +205,26 @@ class Revisions:
                 rebuilt.resume(published[place], state is not None and state.finished)
         following = states[place + 1].learned[-1:] if place + 1 < len(states) else ()
         rebuilt.revise(self._record(number, *following or (None,)))
-        return rebuilt, target, published[place + 1] if same and place + 1 < len(published) else None
+        return rebuilt, published[place + 1] if same and place + 1 < len(published) else None
 
 
-@dataclass(frozen=True, eq=False)
-class Revised:
-    """The revision after the last complete pass of one robot in a recording."""
+def compensate_recording(path, method: str | None = None) -> list[tuple[str, Compensator, bool | None]]:
+    """Return the revision after the last complete pass of each robot: namespace, compensator, and a comparison.
 
-    robot: str  #: namespace
-    method: str
-    reference: Trajectory
-    joints: np.ndarray  #: [rad], (n, 6), at its knots
-    remaining_error: float  #: [m], of the recorded pass
-    largest_correction: float  #: [m], of a knot against the target
-    published: bool | None  #: the live node published the same bits; None: not recorded, or another method was chosen
-
-    def as_dict(self) -> dict:
-        return dict(
-            robot=self.robot or "/",
-            method=self.method,
-            remaining_error_um=self.remaining_error * 1e6,
-            largest_correction_um=self.largest_correction * 1e6,
-            identical_to_published=self.published,
-            time_ns=self.reference.time_ns,
-            position_m=self.reference.position,
-            quaternion_xyzw=self.reference.quaternion,
-            velocity_m_per_s=self.reference.velocity,
-            joints_rad=self.joints,
-        )
-
-
-def compensate_recording(
-    path, method: str | None = None, progress=None, remap: Mapping[str, str] = MappingProxyType({}), cell_file=None
-) -> list[Revised]:
-    """Return one revision per robot; ``method`` takes the place of the recorded one.
-
-    remap: see ``Recording``; cell_file: see ``recorded_cells``.
-
-    Raises RecordingError where no pass is complete, or where the pass cannot be revised.
+    The comparison: the live node published the same bits; None: not recorded, or ``method`` takes the place of the
+    recorded one. Raises RecordingError where no pass is complete, or where the pass cannot be revised.
     """
-    revised = []
-    with Recording(path, remap=remap) as recording:
-        cells = recorded_cells(recording, cell_file)
-        namespaces = robots_of(recording)
-        for done, namespace in enumerate(namespaces, 1):
+    revised: list[tuple[str, Compensator, bool | None]] = []
+    with Recording(path) as recording:
+        cells = recorded_cells(recording)
+        for namespace in robots_of(recording):
             graph = read_graph(recording, path_of(cells[0]).clock, namespace, on_damage=costs_messages)
             with usable(recording):
                 revision = Revisions(cells, graph).revise(method)
             if revision is not None:
-                by, target, published = revision
-                reference = by.reference
-                joints = commanded_joints(arm_of(cells[0]), cells[0].compensation, reference)
-                shift = np.linalg.norm(reference.position - target.sample(reference.time_ns), axis=1)
-                same = None if published is None else record_difference(published, reference) is None
-                revised.append(
-                    Revised(namespace, by.method, reference, joints, by.errors[-1], float(shift.max()), same)
-                )
-            if progress:
-                progress(done, len(namespaces))
+                by, published = revision
+                same = None if published is None else record_difference(published, by.reference) is None
+                revised.append((namespace, by, same))
         if not revised:
             raise RecordingError(recording.path, "holds no complete pass along a recorded reference trajectory")
     return revised

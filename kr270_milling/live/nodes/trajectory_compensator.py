@@ -29,10 +29,8 @@ from kr270_milling.recordings.messages.topics import COMPENSATOR
 
 METHOD = "compensation.method"
 TARGET = "the target itself"
-LEAD = 1.0  # [s] of the node's clock from the publication of a joint trajectory to its start
 #: reliable and best-effort publishers match
 SENSOR = QoSProfile(depth=topics.LOOP.depth, reliability=ReliabilityPolicy.BEST_EFFORT)
-REPORT_AFTER = 0.8  # [s] of the wall clock, after which the node reports why the poses of a robot are no pass
 
 
 class TrajectoryCompensator(ReportingNode):
@@ -161,6 +159,7 @@ class TrajectoryCompensator(ReportingNode):
 
     def _watch_pass(self) -> None:
         """Finish without a last wrench that does not arrive; report publishers that leave in mid-pass."""
+        report_after = 0.8  # [s] of the wall clock, after which the node reports why the poses of a robot are no pass
         silent, inbox = self._silence.seconds(), self.protocol.inbox
         if inbox.problem:
             self.report(WARN, inbox.problem)
@@ -168,7 +167,7 @@ class TrajectoryCompensator(ReportingNode):
         if not self.protocol.under_way:
             self._readiness.check()
             self._take_sensors()
-            if inbox.distance is not None and time.monotonic() - self._report_time > REPORT_AFTER:
+            if inbox.distance is not None and time.monotonic() - self._report_time > report_after:
                 self._report_time = time.monotonic()
                 where = f"the tool is {inbox.distance * 1e3:.1f} mm from the first point of the reference"
                 silent_start = f"no message on {self._start_topic}; " if self._start_topic else ""
@@ -184,7 +183,7 @@ class TrajectoryCompensator(ReportingNode):
                 self._publish(self.protocol.restart(), "restarted")
                 self.report(ERROR, f"the pass broke off: {what.topic_name} has no publisher")
                 return
-        limit = REPORT_AFTER if inbox.foreign else SILENT
+        limit = report_after if inbox.foreign else SILENT
         if inbox.foreign and silent > BREAK_NS * 1e-9:
             inbox.break_off(f"no tool_pose for {BREAK_NS * 1e-9:g} s")
         elif self._silence.is_due(silent, limit):
@@ -232,9 +231,10 @@ class TrajectoryCompensator(ReportingNode):
 
     def _send_program(self) -> str:
         """Publish the reference for a joint controller; return what was published."""
+        lead = 1.0  # [s] of the node's clock from the publication of a joint trajectory to its start
         if self._readiness.waiting_for:
             raise MessageError(f"the pass waits: {self._readiness.waiting_for}")
-        start = self._now_ns() + int(LEAD * SECOND)
+        start = self._now_ns() + int(lead * SECOND)
         program = self.protocol.program(self._present_joints(), start)
         self.send([("joint_trajectory", program)])
-        return f"{len(program.time)} points, {program.time[-1] / SECOND:.3f} s, start in {LEAD:g} s"
+        return f"{len(program.time)} points, {program.time[-1] / SECOND:.3f} s, start in {lead:g} s"

@@ -16,7 +16,6 @@ from kr270_milling.base.extensions import require_extra
 from kr270_milling.base.parameter_file import find_file
 
 PROFILES = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")
-FAST_DDS = "rmw_fastrtps_cpp"
 RANGE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
 #: set by the bootstrapper of the ROS wheels after it added this interpreter's libraries to LD_LIBRARY_PATH
 GUARD = "_ROS_WHEELS_BOOTSTRAP_COMPLETE"
@@ -31,10 +30,11 @@ def require_ros(what: str = "a graph of nodes") -> None:
 
 def this_host_only(environ: Mapping[str, str]) -> dict[str, str]:
     """Return the variables to add: the shipped profile and a discovery range, where the user has set none."""
+    fast_dds = "rmw_fastrtps_cpp"
     if environ.get(RANGE, "LOCALHOST") != "LOCALHOST":
         return {}  # the user opens discovery to other hosts
     added = {RANGE: "LOCALHOST"}
-    other = environ.get("RMW_IMPLEMENTATION", FAST_DDS) != FAST_DDS or any(environ.get(name) for name in PROFILES)
+    other = environ.get("RMW_IMPLEMENTATION", fast_dds) != fast_dds or any(environ.get(name) for name in PROFILES)
     if not other:
         added[PROFILES[0]] = str(Path(find_file("fastdds.xml")).resolve())
         if RANGE not in environ:  # the profile alone opens less: LOCALHOST adds sockets on every interface to send from

@@ -20,8 +20,6 @@ from kr270_milling.base.arguments import STOPS, end_process, flush
 from kr270_milling.base.errors import MillingError
 from kr270_milling.live.ros.environment import PARENT, keep_to_this_host
 
-LAP = 0.1  # [s] between two checks for signals and for the parent process
-
 
 def own_arguments() -> list[str]:
     """Return the words of this process's command line that are not for ROS.
@@ -105,16 +103,17 @@ def _leave_graph(nodes: list, executor, context: Context) -> None:
 
 def _spin(nodes: list, executor, signals: list[int]) -> int:
     """Spin until the end, close the files, and return the exit code."""
+    pause = 0.1  # [s] between two checks for signals and for the parent process
     parent = int(os.environ.get(PARENT, 0))
     while not signals and not any(node.finished for node in nodes):
         lap = Future()  # one lap is many callbacks: returning after each callback took a tenth of an exchange
         for node in nodes:
             node.lap = lap
-        executor.spin_until_future_complete(lap, timeout_sec=LAP)
+        executor.spin_until_future_complete(lap, timeout_sec=pause)
         if parent and os.getppid() != parent:
             break
     if not any(node.finished for node in nodes):
-        executor.spin_until_future_complete(Future(), timeout_sec=LAP)  # messages that were received before the end
+        executor.spin_until_future_complete(Future(), timeout_sec=pause)  # messages that were received before the end
     code = 0
     for node in nodes:
         closing_failure = node.close()

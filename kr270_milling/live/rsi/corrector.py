@@ -13,7 +13,7 @@ import numpy as np
 from kr270_milling.base.errors import InputError
 from kr270_milling.base.table import Table, read_table
 from kr270_milling.live.rsi.telegram import UNITS
-from kr270_milling.path.progress import PathProgress
+from kr270_milling.path.toolpath import PathProgress
 
 SHIFT = ("dX_mm", "dY_mm", "dZ_mm", "dA_deg", "dB_deg", "dC_deg")
 PLACE = ("X_mm", "Y_mm", "Z_mm")

@@ -20,7 +20,6 @@ MOST_BYTES = 4096  #: size of a telegram; with all internal values it has about 
 AXES = ("X", "Y", "Z", "A", "B", "C")
 JOINTS = tuple(f"A{k}" for k in range(1, 7))
 UNITS = np.array([1e-3, 1e-3, 1e-3, *(np.pi / 180.0,) * 3])  # mm and degrees -> m and rad
-FARTHEST = 100.0  #: [m]
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,12 +133,13 @@ def _numbers(root: ElementTree.Element, name: str, attributes: tuple[str, ...]) 
 
 
 def _pose(root: ElementTree.Element, name: str) -> np.ndarray | None:
+    farthest = 100.0  # [m]
     values = _numbers(root, name, AXES)
     if values is None:
         return None
     pose = values * UNITS
-    if np.abs(pose[:3]).max() > FARTHEST:
-        raise MessageError(f"{name} of a telegram is farther than {FARTHEST:g} m")
+    if np.abs(pose[:3]).max() > farthest:
+        raise MessageError(f"{name} of a telegram is farther than {farthest:g} m")
     return pose
 
 

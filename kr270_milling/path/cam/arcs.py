@@ -123,6 +123,6 @@ def arc_points(
         x, y = centre[0] + distance * math.cos(around), centre[1] + distance * math.sin(around)
         points.append((x, y, start[2] + place * (end[2] - start[2])))
     points.append(tuple(end))
-    if not all(abs(value) <= REACH for point in points for value in point):
+    if not all(min(row) >= -REACH and max(row) <= REACH for row in zip(*points, strict=True)):
         raise ArcError(FAR)
     return points, math.copysign(2 / (first + last), sweep), length

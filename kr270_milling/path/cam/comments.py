@@ -29,11 +29,9 @@ INSIDE = re.compile(
     r"(?:\s+(?:in|out|down|move|motion|\d+))*",
     re.I,
 )
-LONGEST_NAME = 48
 
 TOOL_WORD = r"(?:tool|werkzeug|wkzg?|wz|outil|utensile|herramienta)"
 FRACTION = re.compile(r"(?<![\w.])(?:(\d+)[- ])?(\d+)/(\d+)\s*(?:\"|in|inch|''|flat|ball|end|\s|$)", re.I)
-TOOL_NUMBER = re.compile(rf"\s*(?:{TOOL_WORD}\s*(?:n[or]\.?\s*)?[-#:]?\s*|t\s*)0*(\d+)\b", re.I)
 DIAMETER = re.compile(
     rf"(?:tool dia\.?|\bdiam(?:eter)?|\bdia\.?|\bd|ø)\s*[-=:.]?\s*{NUMBER}"
     r"(?![\d/]|\.\d|\s*(?:CR|R|rad\w*)\b(?!\s*[=\d.]))\s*(mm|in|inch|\")?(?!\s*\. off)",
@@ -160,10 +158,11 @@ def kind_of(words: str) -> str:
 
 def operation_name(comment: str) -> tuple[str, bool]:
     """The name of an operation that a comment gives, and whether it says that it is one; "" for other comments."""
+    longest_name = 48
     announced = ANNOUNCED.fullmatch(comment)
     if announced and re.search(r"[^\W\d_]", announced.group(1)):
-        return announced.group(1).strip()[:LONGEST_NAME], True
-    if len(comment) > LONGEST_NAME or len(comment.split()) > 7 or not NAME.fullmatch(comment):
+        return announced.group(1).strip()[:longest_name], True
+    if len(comment) > longest_name or len(comment.split()) > 7 or not NAME.fullmatch(comment):
         return "", False
     if INSIDE.fullmatch(comment):
         return "", False
@@ -185,7 +184,7 @@ def described_tool(comment: str, unit: float, changed: str | None = None, beside
         return None
     comment = ASIDE.sub(lambda match: match["size"] or " ", re.sub(r"(?<=\d),(?=\d)", ".", comment))
     old = re.match(r"(.*?)TOOL\s*-\s*0*(\d+)\s+DIA\. OFF", comment, re.I)
-    numbered = TOOL_NUMBER.match(comment)
+    numbered = re.match(rf"\s*(?:{TOOL_WORD}\s*(?:n[or]\.?\s*)?[-#:]?\s*|t\s*)0*(\d+)\b", comment, re.I)
     inside = re.search(r"\bT0*(\d+)\b", comment, re.I)
     number = next((match.group(k) for match, k in ((old, 2), (numbered, 1), (inside, 1)) if match), "")
     name = f"T{int(number)}" if number else changed

@@ -17,7 +17,6 @@ STRAIGHT_ON = (
     0.05  #: [rad], a smaller turn is no corner and costs 0.13 % of the radius: LinuxCNC, TOLERANCE_CONCAVE_CORNER
 )
 FULL = 2 * math.pi
-FIT = "the tool does not fit into the corner before this move without a gouge; take a smaller tool"
 BACK = "the path turns back by almost half a turn before this move, into a corner that is narrower than the tool"
 ROUNDING = 10e-6  #: [m] of the places of a program: a move back beside the last one by less is on the same line
 
@@ -41,6 +40,11 @@ class Stroke(NamedTuple):
     def moves(self) -> bool:
         """Return whether the tool moves in the xy plane."""
         return self.centre is not None or self.end != self.start
+
+    @property
+    def curvature(self) -> float:
+        """Return the curvature [1/m], positive to the left."""
+        return 0.0 if self.centre is None else self.sense / abs(self.start - self.centre)
 
     def direction(self, place: complex) -> complex:
         """Return the direction of the move at a place of the stroke."""
@@ -72,6 +76,7 @@ class Stroke(NamedTuple):
 
 def planned(strokes: Sequence[Stroke | None]) -> list[list[Stroke] | str | None]:
     """Return the moves of the tool for each stroke, or the sentence of a refusal; None: a move of another kind."""
+    fit = "the tool does not fit into the corner before this move without a gouge; take a smaller tool"
     results: list[list[Stroke] | str | None] = [None if stroke is None else [] for stroke in strokes]
     rows = _rounded(strokes, results)
     shift = 0j  # of the tool from the contour
@@ -84,12 +89,18 @@ def planned(strokes: Sequence[Stroke | None]) -> list[list[Stroke] | str | None]
             shift, last, tail = 0j, None, []
             continue
         side, radius, start = stroke.side, stroke.radius, stroke.start + shift
-        if not stroke.moves and shift and not side:
+        if not side and not shift and not result and stroke.centre is None and stroke == strokes[index]:
+            results[index], last, tail = None, None, []  # as the program states it
+            continue
+        before = strokes[index - 1] if index else None
+        level = before is not None and before.z == stroke.z and stroke.rapid
+        moves = stroke.moves or (shift and not side and level)
+        if not moves and shift and not side:
             results[index] = "the first move after the compensation is along z, where controls differ; state X and Y"
-        elif not stroke.moves:
+        elif not moves:
             result.append(stroke._replace(start=start, end=start))
             tail.append((index, len(result) - 1))
-        if not stroke.moves:
+        if not moves:
             continue
         if not side:
             if shift and stroke.centre is not None:
@@ -118,14 +129,14 @@ def planned(strokes: Sequence[Stroke | None]) -> list[list[Stroke] | str | None]
         elif last is not None and radius:
             turn = cmath.phase(stroke.direction(stroke.start) / last.direction(last.end))
             back = abs(turn) > math.pi - STRAIGHT_ON
-            cusp = back and -side in (last.sense, stroke.sense)
+            cusp = back and side * (last.curvature + stroke.curvature) < 0  # the tool is in between
             inside = side * turn > STRAIGHT_ON
             if back and inside and not cusp:  # LinuxCNC goes around it, through one side of the corner
                 shorter = min(abs(move.end - move.start) for move in (last, stroke))
                 reason, inside = (BACK if shorter * abs(math.sin(turn)) > ROUNDING else ""), False
             if cusp or inside:
                 place = _meeting(last, stroke, side, radius, begin)
-                start, reason = (first, FIT) if place is None else (place, "")
+                start, reason = (first, fit) if place is None else (place, "")
                 for k, n in tail if not reason else ():
                     row = results[k]
                     if isinstance(row, list):

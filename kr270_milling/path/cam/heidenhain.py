@@ -14,49 +14,46 @@ from collections.abc import Callable
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from kr270_milling.base.files import read_lines, short
 from kr270_milling.base.frames import Pose
-from kr270_milling.base.text import read_lines, short
 from kr270_milling.path.cam.comments import operation_name
-from kr270_milling.path.cam.drilling import Cycle
 from kr270_milling.path.cam.gcode import flow
 from kr270_milling.path.cam.gcode.expressions import NUMBER, ExpressionError, Scanner, Variables
 from kr270_milling.path.cam.gcode.words import SILENT_M, word_of
 from kr270_milling.path.cam.machine import INCH, MM, Machine
-from kr270_milling.path.cam.program_builder import ProgramBuilder
+from kr270_milling.path.cam.program_builder import Cycle, ProgramBuilder
 from kr270_milling.path.kinematics import NO_ROTARY_AXES, Kinematics
 from kr270_milling.path.source_program import ProgramTool
 from kr270_milling.path.toolpath import Toolpath
 from kr270_milling.path.trajectory import TOOL_DOWN
 
-BEGIN = re.compile(r"BEGIN PGM (.*?) ?(MM|INCH)")
 #: words of a block; a sign alone is the direction of a circle
 WORD = re.compile(
     r"(FMAX|FAUTO|R0(?![0-9.])|RL|RR|DR|DL|IPA|IPR|PA|PR|MB|LA|I?[XYZABC]|[RFMST]) ?"
     rf"([-+]?(?:{NUMBER.pattern}|Q[0-9]+|MAX)|[-+])?"
 )
-CONDITION = re.compile(r"FN ?(?:9|10|11|12): ?IF (.*?) ?(EQU|NE|GT|LT) (.*?) ?GOTO LBL ?(.*)")
-ASSIGNED = re.compile(r"(?:FN ?[0-5]: ?)?Q([0-9]+) ?= ?(.*)")
 LABEL = re.compile(r"(CALL )?LBL ?([0-9]+|\".*?\")(?: ?REP ?([0-9]+)(?:/[0-9]+)?)?")
 SILENT = re.compile(
-    r"BLK FORM|TOOL DEF|STOP|FUNCTION RESET (?!TCPM)|CYCL DEF (?:247|32\.|9\.)|FN ?(?:14|16|38):|M ?0*[01]\Z"
+    r"BLK FORM|TOOL DEF|STOP\Z|FUNCTION RESET (?!TCPM)|CYCL DEF (?:247|32\.|9\.)|FN ?(?:14|16|38):|M ?0*[01]\Z"
 )
 #: turns, mirrors, scales that change nothing with zeros alone
 RESETS = re.compile(r"CYCL DEF (?:8|10|11|19)\.[0-9]+")
 SHIFT = re.compile(r"(?:CYCL DEF 7\.[0-9]+|TRANS DATUM)(?: DATUM SHIFT| AXIS| RESET)?")
-TCPM = re.compile(r"FUNCTION (RESET )?TCPM\b(?!.*AXIS SPAT)")
+HOLES = re.compile(r"CYCL DEF (200|201|203|205|240) ")
+COMMA = re.compile(r"(?<=[0-9]),(?=[0-9])(?=[^\"]*(?:\"[^\"]*\"[^\"]*)*\Z)")  #: of a number, not of a name
 #: PLANE -> its angles and the axes of the rotations: of the fixed axes in small letters
 PLANES = {"SPATIAL": (("SPA", "SPB", "SPC"), "xyz"), "EULER": (("EULPR", "EULNU", "EULROT"), "ZXZ")}
 ADVICE = {
     **dict.fromkeys(("APPR", "DEP"), "let the CAM output lead-ins and lead-outs as L and C"),
     **dict.fromkeys(("CALL PGM", "SEL"), "post one program without calls of other files"),
-    "CYCL DEF": "CYCL DEF 200 and 203 are read; let the CAM output other cycles as moves",
+    "CYCL DEF": "CYCL DEF 200, 201, 203, 205 and 240 are read; let the CAM output other cycles as moves",
     "PLANE": "let the CAM output PLANE SPATIAL or PLANE EULER",
     "TCH PROBE": "leave probing out of this program",
 }
-OTHERS = "let the CAM output L, C, CR, CT, LP and CP"
 SPINDLE = {3: 1, 13: 1, 4: -1, 14: -1, 5: 0}
-#: M words that move nothing: those of G-code, rotary axes on the short way, errors of tools, look-ahead
-M_WORDS = {*SILENT_M, 6, 107, 108, 120, 126, 127, 129, 141}
+#: M words that move nothing: those of G-code but for cycles, datums, feeds on arcs and rotary axes; another tool in its
+#: place, rotary axes on the short way, errors of tools, look-ahead, ends of such modes
+M_WORDS = {*SILENT_M} - {89, 104, 109, 110, 114, 116} | {6, 101, 102, 107, 108, 120, 126, 127, 129, 137, 141, 145, 149}
 
 
 def read_heidenhain(path, tool: str = "", feed: float = 0.0, machine: Kinematics = NO_ROTARY_AXES) -> Toolpath:
@@ -118,7 +115,7 @@ class _Conversational(Machine):
                     raise _Refused(f"the program runs more than {flow.MOST_BLOCKS} statements; does a jump end?")
                 index = self._statement(text, comment, index)
             except (_Refused, ExpressionError) as fault:
-                program.refuse(short(text), str(fault), lost=True)
+                program.refuse(short(text), str(fault).replace("#", "Q"), lost=True)
             if text and program.words["counted"] == counted:
                 program.words["used" if program.refusals == refusals else "refused"] += 1
         if not self.ended:
@@ -132,18 +129,18 @@ class _Conversational(Machine):
             self._comment(comment, text)
         if not text:
             return index
-        if match := BEGIN.fullmatch(text):
+        if match := re.fullmatch(r"BEGIN PGM (.*?) ?(MM|INCH)", text):
             self.unit = INCH if match[2] == "INCH" else MM
             self.program.title = self.program.title or match[1]
         elif text.startswith("END PGM"):
             self.ended = True
         elif match := LABEL.fullmatch(text):
             return self._label(match, index)
-        elif match := CONDITION.fullmatch(text):
+        elif match := re.fullmatch(r"FN ?(?:9|10|11|12): ?IF (.*?) ?(EQU|NE|GT|LT) (.*?) ?GOTO LBL ?(.*)", text):
             left, right = self._value(match[1]), self._value(match[3])
             holds = {"EQU": left == right, "NE": left != right, "GT": left > right, "LT": left < right}[match[2]]
             return self._place_of(match[4]) if holds else index
-        elif match := ASSIGNED.fullmatch(text):
+        elif match := re.fullmatch(r"(?:FN ?[0-5]: ?)?Q([0-9]+) ?= ?(.*)", text):
             self.variables.set(int(match[1]), self._value(match[2]))
         elif word in self.moving:
             self._block(word, text[len(word) :])
@@ -153,11 +150,11 @@ class _Conversational(Machine):
             self._centre_word(text[2:])
         elif word in ("RND", "CHF"):
             self._corner(word, text[3:])
-        elif text.startswith(("CYCL DEF 200 ", "CYCL DEF 203 ")):
-            self._define(text)
+        elif match := HOLES.match(text):
+            self._define(match[1], text)
         elif text.startswith("CYCL CALL"):
             self._call_cycle(text[9:])
-        elif match := TCPM.match(text):
+        elif match := re.match(r"FUNCTION (RESET )?TCPM\b(?!.*AXIS SPAT)", text):
             self.program.count("FUNCTION TCPM")
             self.follow_tip(match[1] is None)
         elif SHIFT.match(text):
@@ -166,12 +163,14 @@ class _Conversational(Machine):
             self._plane(text)
         elif SILENT.match(text) or (RESETS.match(text) and not re.search(r"[1-9]", RESETS.sub("", text, count=1))):
             self._note(text)
-        elif text.startswith("M"):
-            self._block("L", " " + text)
+        elif text.startswith(("M", "STOP M")):
+            self._block("L", " " + text.removeprefix("STOP "))
         else:
             known = next((name for name in ADVICE if text.startswith(name)), "")
             reason = "" if known else f"{short(text)!r} is not read"
-            self.program.refuse(short(text), reason, ADVICE.get(known, OTHERS), lost=True)
+            self.program.refuse(
+                short(text), reason, ADVICE.get(known, "let the CAM output L, C, CR, CT, LP and CP"), lost=True
+            )
         return index
 
     def _shift(self, text: str) -> None:
@@ -457,18 +456,24 @@ class _Conversational(Machine):
             self.set_feed(words["F"], self.unit)
         self.program.spindle_speed = self.turning * self.speed
 
-    def _define(self, text: str) -> None:
-        """CYCL DEF 200 and 203: surface Q203, level R Q200 above it, depth Q201, level after the hole Q204."""
+    def _define(self, number: str, text: str) -> None:
+        """CYCL DEF 200, 203 and 205 drill, 201 reams, 240 centres.
+
+        Q203: surface, Q200: level R above it, Q201: depth, Q204: level after the hole.
+        """
         values = {key: self._value(value) for key, value in re.findall(r"Q([0-9]+) ?= ?([-+]?[0-9.Q]+)", text)}
         for key in values.keys() & {"200", "201", "202", "203", "204", "206"}:
             self.variables.set(int(key), values[key])
-        if not {"200", "201", "202", "203", "206"} <= values.keys():
-            raise _Refused("CYCL DEF needs Q200, Q201, Q202, Q203 and Q206")
-        surface, depth, peck = (values[key] * self.unit for key in ("203", "201", "202"))
-        if depth >= 0 or values["200"] < 0 or peck <= 0 or values.get("212"):
-            raise _Refused("CYCL DEF needs a negative Q201, Q200 and Q202 above zero, and Q212 of zero")
+        needed = ["200", "201", "203", "206"] + ["202"] * (number not in ("201", "240"))
+        if not values.keys() >= set(needed):
+            raise _Refused(f"CYCL DEF {number} needs Q{', Q'.join(needed)}")
+        surface, depth = values["203"] * self.unit, values["201"] * self.unit
+        peck = values["202"] * self.unit if "202" in needed else -depth
+        if depth >= 0 or values["200"] < 0 or peck <= 0 or any(values.get(key) for key in ("212", "343", "379")):
+            raise _Refused("CYCL DEF needs a negative Q201, Q200 and Q202 above zero, and Q212, Q343 and Q379 of zero")
         level = surface + values["200"] * self.unit
-        kind = 81 if peck >= -depth else 73 if values.get("213") else 83
+        kind = 81 if peck >= -depth else 73 if values.get("213") or values.get("257") else 83
+        kind = 85 if number == "201" else kind
         back = surface + max(values["200"], values.get("204", 0.0)) * self.unit
         self.hole = Cycle(kind, back, level, surface + depth, peck), values["206"]
 
@@ -487,7 +492,7 @@ class _Conversational(Machine):
 
     def _drill_here(self) -> None:
         if self.hole is None:
-            raise _Refused("a call of a cycle before CYCL DEF 200 or 203")
+            raise _Refused("a call of a cycle before its CYCL DEF")
         self.ends_contour("a drilling cycle")
         cycle, rate = self.hole
         feed = self.feed
@@ -531,11 +536,11 @@ def _statements(lines: list[str]) -> list[tuple[int, str, str]]:
         code = code.strip() if open_statement else re.sub(r"^[0-9]+(?=\s|\Z)\s*", "", code.strip())
         if code.startswith("*"):  # an item of the structure
             code, comment = "", code.lstrip("* -")
-        code = " ".join(code.upper().split())
+        code = COMMA.sub(".", " ".join(code.upper().split()))
         if open_statement:
             first, before, remark = out[-1]
-            out[-1] = first, f"{before} {code}", remark
-        elif code or comment:
+            out[-1] = first, f"{before} {code}".strip(), remark
+        elif code or comment or continued:
             out.append((number, code, comment.strip()))
         open_statement = continued
     return out

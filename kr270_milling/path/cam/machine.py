@@ -16,8 +16,7 @@ import numpy as np
 from kr270_milling.base.frames import Pose
 from kr270_milling.path.cam.arcs import ArcError, arc_points, centre_from_radius, curve_points, nurbs_points
 from kr270_milling.path.cam.contour import Stroke, planned
-from kr270_milling.path.cam.drilling import Cycle
-from kr270_milling.path.cam.program_builder import ProgramBuilder
+from kr270_milling.path.cam.program_builder import Cycle, ProgramBuilder
 from kr270_milling.path.kinematics import NO_ROTARY_AXES
 from kr270_milling.path.toolpath import REACH, TOP
 from kr270_milling.path.trajectory import LEVER, TOOL_DOWN, tool_along
@@ -300,7 +299,7 @@ class Machine:
 
     def set_feed(self, value: float, unit: float) -> None:
         """The number of a feed, lengths in ``unit`` [m]."""
-        most = 60 * REACH / unit
+        most = 1e10  # a number above any feed that a CAM writes for "as fast as possible"
         length = "inches" if unit == INCH else "mm"
         time = {93: "moves a minute (G93)", 94: "a minute", 95: "a revolution (G95)"}[self.feed_mode]
         self.program.feed_units[time if self.feed_mode == 93 else f"{length} {time}"] = None
@@ -329,6 +328,7 @@ class Machine:
         """The tool of the moves that follow, if it is another one."""
         if tool not in ("", self.program.tool):
             self.ends_contour("a change of the tool")
+            self.position, self.beside = list(self.tip), 0j  # the control reads the place of the tool: LinuxCNC
             self.program.change_tool(tool)
             self.cycle = None
 

@@ -1,18 +1,21 @@
-"""A program under construction by its reader: the path of one tool, its statements, and refused words."""
+"""A program under construction by its reader: the path of one tool, its statements, refused words; drilling cycles."""
 
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import math
 from collections import Counter
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from kr270_milling.base.errors import InputError, one_line
-from kr270_milling.base.text import short
+from kr270_milling.base.files import short
 from kr270_milling.path.cam.comments import ABOUT_TOOL, described_tool, kind_of
+from kr270_milling.path.cam.contour import NEAR
 from kr270_milling.path.source_program import ProgramError, ProgramTool, Refusal, SourceProgram
 from kr270_milling.path.toolpath import MOST_BLOCKS, REACH, TOP, PathBuilder, Toolpath, cut_features
 
@@ -22,23 +25,25 @@ ROUNDING = 1e-12  #: [m] of a place that a shift of the coordinates leads away f
 class ProgramBuilder(PathBuilder):
     """Collects the moves of one tool and, of all of them, what cannot be run.
 
-    After a retract or a tool change the tool travels at the top height. Refusals are separate for each tool, so that
-    one tool's part of a program can be run alone.
+    After a retract or a tool change the tool travels at the top height. A tool that cuts again after another one, or at
+    another spindle speed after a rapid move, begins a further run: T1_2. Refusals are separate for each run, so that
+    one run's part of a program can be run alone.
     """
 
     def __init__(self, source, selected: str):
         super().__init__(source)
-        self.selected = selected  #: the tool whose moves are wanted, "" for all
-        self.active = True  #: True if that tool is in the spindle
+        self.selected = selected  #: the run whose moves are wanted, "" for all
+        self.active = True  #: True if the tool makes that run
         self.away = False  #: True if the tool was taken away since the last move
         self.named = False  #: True if a comment named the operation since the last cut
         self.moved = False  #: True if the tool moved since then: a comment that follows is inside the operation
         self.unknown: list[str] = []  #: axes whose place was not known at the last move without a place
         self.lost = False  #: a move was refused: the place of the tool is unknown
-        self.where = ""  #: of a line in another file than the source: its name and line, as the begin of a sentence
+        self.places: dict[str, int] = {"": 0}  #: lines of further files that were run, "O7.nc, line 3"
         self.files: list[Path] = []  #: further files that were read
         self.title = ""
         self.tool = ""  #: in the spindle
+        self.run = ""  #: of the tool: its name, from the second run on with the number
         self.frame = {"work offsets": "", "tool lengths": "", "tool edges": ""}  #: kind -> word that is active
         self.comments: list[tuple[str, str, bool]] = []  #: with the tool, and whether it is the tool of their line
         self.external: tuple[float, ...] = (0.0,) * 6  #: external axes E1 to E6 during the cuts
@@ -53,17 +58,19 @@ class ProgramBuilder(PathBuilder):
         self._before_change = 0  #: number of comments up to the last move
         self.words = {"used": 0, "counted": 0, "refused": 0}  #: the numbers of words: all that were read
         self.refusals = 0  #: with those that follow from earlier ones
-        self._tools: dict[str, int] = {}  #: name -> line of its first change
-        self._cuts: Counter[str] = Counter()  #: tool -> cutting blocks
-        self._last_cut: dict[str, int] = {}  #: tool -> line
-        self._frames: dict[tuple[str, ...], int] = {}  #: (tool, its frame) while cutting -> first line
+        self._runs: dict[str, tuple[str, int]] = {}  #: run -> tool, line of its begin
+        self._cuts: Counter[str] = Counter()  #: run -> cutting blocks
+        self._speeds: dict[str, float] = {}  #: run -> first spindle speed of its cuts [rad/s]
+        self._frames: dict[tuple[str, ...], int] = {}  #: (run, its frame) while cutting -> first line
         self._key = ("", *self.frame.values())
-        self._refused: list[tuple[str, Refusal]] = []  #: with the tool in the spindle
+        self._refused: list[tuple[str, Refusal]] = []  #: with the run
 
     # --- moves ---
 
     def rapid(self, end: tuple) -> None:
         """Go to a point; nothing is recorded until X, Y and Z are known."""
+        if self.tool and self.spindle_speed and _differ(self.spindle_speed, self._speeds.get(self.run)):
+            self._begin_run()
         self.moved = True
         self._before_change = len(self.comments)
         if not self.active or any(map(math.isnan, end)):
@@ -89,29 +96,31 @@ class ProgramBuilder(PathBuilder):
         """Feed through points, from a start that is known; turned: orientations at the points, empty: as before."""
         self.named = False
         self._before_change = len(self.comments)
-        self._cuts[self.tool] += 1
-        self._last_cut[self.tool] = self.line
+        self._cuts[self.run] += 1
+        if self.spindle_speed:
+            self._speeds.setdefault(self.run, self.spindle_speed)
         self._frames.setdefault(self._key, self.line)
         if not self.active:
             self.quaternion = turned[-1] if turned else self.quaternion
             return
         if self.away or (self.last != start and not (self.last and math.dist(self.last, start) < ROUNDING)):
             self.rapid(start)
-        for k, end in enumerate(ends):
-            self.quaternion = turned[k] if turned else self.quaternion
+        for end, quaternion in zip(ends, turned or [self.quaternion], strict=False):
+            self.quaternion = quaternion
             self.move(end, feed, False, self.line, curvature)
+        self.moves(ends[len(turned) or 1 :], itertools.repeat(self.line), feed, curvature)
 
     def cuts_from(self, place: list[float]) -> bool:
         """Return whether the tool whose moves are wanted is at a place."""
         return self.active and not self.away and self.last == tuple(place)
 
-    def straight_cuts(self, ends: list[tuple[float, float, float, int]], feed: float) -> int:
-        """Feed through points (x, y, z, line) from the place of the tool, as ``cut`` does, up to one out of reach.
+    def straight_cuts(self, ends: list[tuple[float, float, float]], lines: list[int], feed: float) -> int:
+        """Feed through points, each with its line, from the place of the tool, as ``cut`` does, up to one out of reach.
 
         Return the number of points.
         """
         near = MOST_BLOCKS - len(self)
-        for k, (x, y, z, _) in enumerate(ends[:near]):
+        for k, (x, y, z) in enumerate(ends[:near]):
             if not (abs(x) <= REACH and abs(y) <= REACH and abs(z) <= REACH):
                 near = k
                 break
@@ -119,10 +128,12 @@ class ProgramBuilder(PathBuilder):
             return 0
         self.named = False
         self._before_change = len(self.comments)
-        self._cuts[self.tool] += len(ends)
-        self._last_cut[self.tool] = self.line = ends[-1][3]
-        self._frames.setdefault(self._key, ends[0][3])
-        self.straight_moves(ends, feed)
+        self._cuts[self.run] += len(ends)
+        if self.spindle_speed:
+            self._speeds.setdefault(self.run, self.spindle_speed)
+        self.line = lines[len(ends) - 1]
+        self._frames.setdefault(self._key, lines[0])
+        self.moves(ends, lines, feed)
         return len(ends)
 
     def change_tool(self, tool: str) -> None:
@@ -135,17 +146,32 @@ class ProgramBuilder(PathBuilder):
                 self.comments[k] = comment, tool, False
         self.away = self.away or bool(self.tool) or len(self) > 0
         self.tool = tool
-        self._key = (tool, *self.frame.values())
         self.moved = False
-        self.active = self.selected in ("", tool)
-        self._tools.setdefault(tool, self.line)
+        self._begin_run()
         if not self.named:
             self.name_feature(tool)
+
+    def _begin_run(self) -> None:
+        """Begin a run of the tool: its first one, that which did not cut yet, or a further one."""
+        runs = [run for run, (tool, _) in self._runs.items() if tool == self.tool]
+        if not runs:
+            self.run = self.tool
+        elif self._cuts[runs[-1]]:
+            self.run = f"{self.tool}_{len(runs) + 1}"
+            self.away = True
+        else:
+            self.run = runs[-1]
+            self._runs.pop(self.run)
+        if self._runs.get(self.run, (self.tool, 0))[0] != self.tool:
+            self.refuse(self.run, f"{self.run} is the name of a tool and of a further run", "rename the tool")
+        self._runs[self.run] = self.tool, self.line
+        self._key = (self.run, *self.frame.values())
+        self.active = self.selected in ("", self.run)
 
     def set_frame(self, kind: str, word: str) -> None:
         """Note a word that places the coordinates of the moves that follow, such as G55 or H1."""
         self.frame[kind] = word
-        self._key = (self.tool, *self.frame.values())
+        self._key = (self.run, *self.frame.values())
 
     def count(self, word: str, words: int = 1) -> None:
         """Count a word that moves nothing, with the words that belong to it."""
@@ -155,7 +181,15 @@ class ProgramBuilder(PathBuilder):
     def doubt(self, kind: str, sentence: str) -> None:
         """Note a word of the tool whose moves are wanted that another control may run in another way."""
         if self.active:
-            self.doubtful.append((kind, self.where + sentence, self.line))
+            self.doubtful.append((kind, self._elsewhere(sentence), self.line))
+
+    def go_to(self, place: str) -> None:
+        """Note the line of a further file that runs, such as "O7.nc, line 3"; "": the line is one of the source."""
+        self.place = self.places.setdefault(place, len(self.places))
+
+    def _elsewhere(self, sentence: str) -> str:
+        """Return a sentence that begins with the line that runs, where this line is in another file."""
+        return f"{list(self.places)[self.place]}: {sentence}" if self.place else sentence
 
     @property
     def cuts(self) -> int:
@@ -193,10 +227,10 @@ class ProgramBuilder(PathBuilder):
         self.refusals += 1
         if derived and self.lost:
             return
-        if self.where:
-            reason = self.where + (reason or word)
+        if self.place:
+            reason = self._elsewhere(reason or word)
         refusal = Refusal(line or self.line, one_line(short(word)), one_line(reason), advice)
-        self._refused.append((self.tool, refusal))
+        self._refused.append((self.run, refusal))
         self.lost = self.lost or lost
 
     # --- at the end ---
@@ -240,9 +274,10 @@ class ProgramBuilder(PathBuilder):
             rounding=self.rounding,
             tool_frame=self.displayed.get("$TOOL", ()),
             base_frame=self.displayed.get("$BASE", ()),
-            beside=self.beside.get(chosen, 0.0),
+            beside=self.beside.get(self._runs.get(chosen, (chosen, 0))[0], 0.0),
             work_offset=next(filter(None, frames["work offsets"]), self.frame["work offsets"]),
             files=tuple(map(str, self.files)),
+            places=tuple(self.places),
             operations=tuple(names[k] for k in cut_features(columns)),
             read_over=tuple(self.silent.most_common()),
             doubtful=tuple(self.doubtful),
@@ -259,7 +294,8 @@ class ProgramBuilder(PathBuilder):
 
     def described_tools(self, unit: float) -> tuple[ProgramTool, ...]:
         """Every tool that the program changes to, with what its comments say; "" for cuts before the first one."""
-        names = ({"": 1} if self._cuts[""] else {}) | self._tools
+        runs = ({"": ("", 1)} if self._cuts[""] else {}) | self._runs
+        names = {tool for tool, _ in runs.values()}
         only = next(iter(names)) if len(names) == 1 else None
         known = dict(self.known)
         for comment, changed, beside in self.comments:
@@ -268,18 +304,18 @@ class ProgramBuilder(PathBuilder):
                 known[tool.name] = known[tool.name].completed(tool) if tool.name in known else tool
         if only == "" and len(known) == 1:  # no T word: the one tool of the comments, whatever its number
             known = {"": next(iter(known.values()))}
-        described = ((name, line, known.get(name, ProgramTool(name))) for name, line in names.items())
         return tuple(
             dataclasses.replace(
                 tool,
-                name=name,
+                name=run,
+                changed_as=name,
                 line=line,
-                cuts=self._cuts[name],
-                last_cut=self._last_cut.get(name, 0),
+                cuts=self._cuts[run],
                 kind=tool.kind or kind_of(name),
                 length_offset=name in self.length_offsets,
             )
-            for name, line, tool in described
+            for run, (name, line) in runs.items()
+            for tool in (known.get(name, ProgramTool(name)),)
         )
 
     def _selection(self, cutters: list[ProgramTool]) -> list[Refusal]:
@@ -295,11 +331,15 @@ class ProgramBuilder(PathBuilder):
         return [Refusal(cutters[1].line, cutters[1].name, reason, advice)]
 
 
+def _differ(speed: float, other: float | None) -> bool:
+    """Return whether two spindle speeds differ by more than 1 rpm, 0.1 rad/s; None: no speed."""
+    return other is not None and abs(speed - other) > 0.1
+
+
 def _several_speeds(speeds: dict[float, int]) -> list[Refusal]:
     distinct: list[tuple[float, int]] = []
     for speed, line in speeds.items():
-        # 0.1 rad/s is 1 rpm: speeds that differ by less are equal
-        if speed and all(abs(speed - known) > 0.1 for known, _ in distinct):
+        if speed and all(_differ(speed, known) for known, _ in distinct):
             distinct.append((speed, line))
     words = [(f"S{abs(speed) * 30 / math.pi:.6g}{' M4' if speed < 0 else ''}", line) for speed, line in distinct]
     return _several("spindle speeds", words)
@@ -315,3 +355,39 @@ def _several(what: str, words: list[tuple[str, int]]) -> list[Refusal]:
         return []
     listing = ", ".join(f"{word} (line {line})" for word, line in words[:6])
     return [Refusal(words[1][1], words[1][0].split()[0], f"{len(words)} {what}: {listing}", _SEVERAL.get(what, EACH))]
+
+
+#: [m] how far above the last depth a peck starts again: 0.01 inch, as in LinuxCNC
+CLEARANCE = 0.254e-3
+
+
+@dataclass
+class Cycle:
+    """As the words of a block define it, lengths in [m]; each hole repeats it."""
+
+    kind: int  #: 73, 76, 81, 82, 83, 85, 86, 89
+    initial: float  #: height where the cycle was called
+    retract: float  #: R
+    bottom: float = math.nan  #: Z
+    peck: float = 0.0  #: Q, 0: in one stroke
+
+    def strokes(self) -> list[tuple[float, bool]]:
+        """Heights [m] that the tool goes to from R on, each with whether it goes there rapidly; the last is R again.
+
+        81, 82, 86: in, out rapidly; 76 also, without its small shift by Q at the bottom of the bored hole; 83: out to R
+        after each peck; 73: back by the clearance; 85, 89: out at the feed.
+        """
+        most_pecks = 10_000
+        if self.kind not in (73, 83) or not 0 < self.peck < self.retract - self.bottom:
+            return [(self.bottom, False), (self.retract, self.kind not in (85, 89))]
+        depth = self.retract
+        path: list[tuple[float, bool]] = []
+        while depth > self.bottom:  # a peck that ends at the bottom may differ from it by rounding
+            above = min(self.retract, depth + CLEARANCE)
+            if path:
+                path += [(above, True)] if self.kind == 73 else [(self.retract, True), (above, True)]
+            depth = depth - self.peck if depth - self.peck > self.bottom + NEAR else self.bottom
+            path.append((depth, False))
+            if len(path) > 3 * most_pecks:
+                raise ValueError(f"the hole takes more than {most_pecks} pecks; wrong Q?")
+        return [*path, (self.retract, True)]

@@ -26,7 +26,6 @@ LENGTHS, FEEDS = ("m", "mm", "um"), ("mm_per_min", "m_per_min", "mm_per_s", "m_p
 UNITS_OF = dict.fromkeys("xyz", LENGTHS) | dict.fromkeys("abc", ("deg",)) | {"feed": FEEDS}
 COLUMNS = {f"{name}_{unit}": (name, UNITS[unit]) for name, units in UNITS_OF.items() for unit in units}
 COLUMNS |= {name: (name, 1.0) for name in "ijk"}
-HEADERS = [f"x_mm,y_mm,z_mm,{turn}feed_mm_per_min" for turn in ("", "a_deg,b_deg,c_deg,", "i,j,k,")]
 
 
 def read_points(path) -> Toolpath:
@@ -34,10 +33,11 @@ def read_points(path) -> Toolpath:
 
     a, b, c are KUKA angles of tcp in the workpiece frame; i, j, k are the tool axis from tip to holder, ``tool_along``.
     """
+    headers = [f"x_mm,y_mm,z_mm,{turn}feed_mm_per_min" for turn in ("", "a_deg,b_deg,c_deg,", "i,j,k,")]
     table = read_table(path, COLUMNS, whole=True)
     names, scales = zip(*(COLUMNS[name] for name in table.names), strict=True)
-    if sorted(names) not in [sorted(COLUMNS[name][0] for name in header.split(",")) for header in HEADERS]:
-        raise InputError(path, f"the header must be {' or '.join(HEADERS)}", 1)
+    if sorted(names) not in [sorted(COLUMNS[name][0] for name in header.split(",")) for header in headers]:
+        raise InputError(path, f"the header must be {' or '.join(headers)}", 1)
     builder = PathBuilder(path)
     for number, row in zip(table.lines, (table.numbers(table.names) * scales).tolist(), strict=True):
         values = dict(zip(names, row, strict=True))
@@ -85,13 +85,13 @@ class PathReader:
 
 
 GCODE = PathReader("kr270_milling.path.cam.gcode.reader", "read_gcode", ("tool", "feed", "offsets", "machine"))
-APT = PathReader("kr270_milling.path.cam.apt.reader", "read_apt", ("tool", "feed"))
+APT = PathReader("kr270_milling.path.cam.apt", "read_apt", ("tool", "feed"))
 #: the reader of each kind of file, by the end of the name; ``cell.sections`` adds recordings, which are above this room
 READERS: dict[str, PathReader] = {
     **dict.fromkeys(ENDINGS, GCODE),
     **dict.fromkeys((".apt", ".cl", ".cls", ".aptsource", ".ncl"), APT),
     ".h": PathReader("kr270_milling.path.cam.heidenhain", "read_heidenhain", ("tool", "feed", "machine")),
-    ".src": PathReader("kr270_milling.path.cam.krl.reader", "read_krl_program", ("tool", "feed")),
+    ".src": PathReader("kr270_milling.path.cam.krl", "read_krl_program", ("tool", "feed")),
     ".csv": PathReader("kr270_milling.path.cam.readers", "read_points"),
 }
 
@@ -159,12 +159,10 @@ def read_path_file(
     return reader.read(path, **{name: options[name] for name in reader.options})
 
 
-def read_toolpath(
-    path, tool: str = "", feed: float = 0.0, offsets: Sequence[float] = (), machine: Kinematics = NO_ROTARY_AXES
-) -> Toolpath:
+def read_toolpath(path, tool: str = "", feed: float = 0.0, machine: Kinematics = NO_ROTARY_AXES) -> Toolpath:
     """Read the tool path of a CAM program or of a CSV of points, as ``read_path_file``."""
     recorded = reader_of(path).recorded
-    toolpath = None if recorded else read_path_file(path, tool, feed=feed, offsets=offsets, machine=machine)
+    toolpath = None if recorded else read_path_file(path, tool, feed=feed, machine=machine)
     if not isinstance(toolpath, Toolpath):
         raise InputError(path, "is a recording, not a program")
     return toolpath

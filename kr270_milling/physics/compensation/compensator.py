@@ -10,12 +10,10 @@ from scipy.interpolate import make_lsq_spline
 
 from kr270_milling.base.errors import ParameterError
 from kr270_milling.path.trajectory import Trajectory
-from kr270_milling.physics.compensation.learning import Learner
-from kr270_milling.physics.compensation.limiting import Bounds, Limited
+from kr270_milling.physics.compensation.learning import CellModels, Learner
 from kr270_milling.physics.compensation.method import Correction, Method, RevisionTask
 from kr270_milling.physics.compensation.methods import method_of
-from kr270_milling.physics.compensation.models import CellModels
-from kr270_milling.physics.compensation.revision import PassRecord, corrected
+from kr270_milling.physics.compensation.revision import Bounds, Limited, PassRecord, corrected
 from kr270_milling.physics.compensation.settings import CompensationSettings
 
 

@@ -18,7 +18,6 @@ from numba import njit
 from kr270_milling.physics.compensation.lifted import KnotConditions, Lifted, outputs, transitions, units
 from kr270_milling.physics.compensation.response import ArmResponse, Segments
 
-MOTORS = 6  #: numbers of place and velocity of the motors
 WINDOW = 4096  #: segments that are solved at once
 REACH = 3.0  #: [s], before and after a window: so long two corrections of the same deviation differ
 STEPS = 30  #: most conjugate gradients
@@ -119,6 +118,7 @@ def _widened(rows: np.ndarray) -> np.ndarray:
 
 def _matrix(arm: ArmResponse, next_inward: np.ndarray, segments: Segments) -> np.ndarray:
     """Motion of the tool in each part and [u, p, y, y'] at the next knot from y, (kinds, 3 parts + 2 r + 6, y)."""
+    motors = 6  # numbers of place and velocity of the motors
     r, m = arm.order, len(segments)
     inward, after = (rows if arm.moves else np.zeros_like(rows) for rows in (arm.inward, next_inward))
     moved, swung = outputs(arm, segments).reshape(m, -1, 2 * r + 12), transitions(arm, segments)[:, : 2 * r]
@@ -126,12 +126,12 @@ def _matrix(arm: ArmResponse, next_inward: np.ndarray, segments: Segments) -> np
         matrix[:, :, 2 * r + 3 : 2 * r + 6] -= matrix[:, :, r : 2 * r] @ inward
     powers = segments.duration[:, None] ** np.arange(3) / [1.0, 1.0, 2.0]
     swung[:, r:, 2 * r + 3 :] += (powers[:, None, :, None] * after[:, :, None]).reshape(m, r, 9)
-    answer = np.zeros((m, moved.shape[1] + 2 * r + MOTORS, 2 * r + MOTORS + 12))
+    answer = np.zeros((m, moved.shape[1] + 2 * r + motors, 2 * r + motors + 12))
     arm_rows, motor_rows = slice(0, moved.shape[1] + 2 * r), slice(moved.shape[1] + 2 * r, None)
     both = np.concatenate([moved, swung], axis=1)
     answer[:, arm_rows, : 2 * r] = both[:, :, : 2 * r]
     if arm.lag is None:
-        answer[:, arm_rows, 2 * r + MOTORS :] = both[:, :, 2 * r :]
+        answer[:, arm_rows, 2 * r + motors :] = both[:, :, 2 * r :]
         return answer
     free, driven, hermite = arm.lag.matrices(segments.duration)
     ends = np.concatenate([free, driven], axis=2)

@@ -41,14 +41,6 @@ class KnotConditions:
         return KnotConditions(self.smooth, self.resting[part.start : part.stop + 1], self.fixed[part])
 
 
-@dataclass(frozen=True, eq=False)
-class LiftedCorrection:
-    """Cubics c, v, a, j of the correction, (m, 4, 3), and what is left of the deviation [m], (m, parts, 3)."""
-
-    cubic: np.ndarray
-    left: np.ndarray
-
-
 def knots(segments: Segments, cubic: np.ndarray) -> np.ndarray:
     """Values [m] of cubics (m, 4, 3) at the knots, (m + 1, 3)."""
     t = segments.duration[-1]
@@ -79,8 +71,12 @@ class Lifted:
             self._made = part.start, (outputs(arm, segments) * self._unit, step, *chosen)
         return self._made[1]
 
-    def least_squares(self, deviation: np.ndarray, weight: np.ndarray, smoothness: float) -> LiftedCorrection:
+    def least_squares(
+        self, deviation: np.ndarray, weight: np.ndarray, smoothness: float
+    ) -> tuple[np.ndarray, np.ndarray]:
         """The best correction of deviations d0 [m], (m, parts, 3), under weights W (m, parts, 3, 3).
+
+        Returns cubics c, v, a, j, (m, 4, 3), and what is left of the deviation [m], (m, parts, 3).
 
         smoothness: weight of the change of the correction's third (of straight lines: second) difference over a
         segment of the usual length.
@@ -112,7 +108,7 @@ class Lifted:
             _forward(step, from_state, free, policy, push, state, local)
             left[part] += (output @ local[:, None, :, None])[..., 0]
             cubic[part] = (local * self._unit)[:, -12:].reshape(-1, 4, 3)
-        return LiftedCorrection(cubic, left)
+        return cubic, left
 
     def prepared(self, weight: np.ndarray, smoothness: float) -> Callable[[np.ndarray], np.ndarray]:
         """Return the function from the slope of a cost by the cubics (m, 4, 3) to the cubics that are best with it.
@@ -169,26 +165,26 @@ class Lifted:
         slope[:-1, 1] -= bend
         return slope
 
-    def min_max(self, deviation, weight, smoothness: float, scored: np.ndarray) -> LiftedCorrection:
+    def min_max(self, deviation, weight, smoothness: float, scored: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """As ``least_squares``, but with the least largest deviation in the parts ``scored`` (m, parts).
 
         Lawson's reweighting [Lawson1961]: parts with a large deviation gain weight; the weighted mean square is a lower
         bound of the largest one, so the end is known when it comes near.
         """
         share, least = np.ones(scored.shape), np.inf
-        best: LiftedCorrection | None = None
+        best: tuple[np.ndarray, np.ndarray] | None = None
         for _ in range(40 if scored.any() else 1):  # most reweightings
-            solution = self.least_squares(deviation, weight * share[..., None, None], smoothness)
-            size = np.sqrt(np.einsum("kpi,kpij,kpj->kp", solution.left, weight, solution.left))[scored]
+            cubic, left = self.least_squares(deviation, weight * share[..., None, None], smoothness)
+            size = np.sqrt(np.einsum("kpi,kpij,kpj->kp", left, weight, left))[scored]
             if best is None or size.max() < least:
-                best, least = solution, float(size.max(initial=0.0))
+                best, least = (cubic, left), float(size.max(initial=0.0))
             now = share[scored]
             # a largest deviation within 2 % of the least possible one is good enough
             if size.max(initial=0.0) < TINY or least <= 1.02 * np.sqrt(np.sum(now * size**2) / np.sum(now)):
                 break
             now = now * size / size.max()
             share[scored] = np.maximum(now / now.mean(), 1e-4)
-        return cast(LiftedCorrection, best)  # of one round at least
+        return cast(tuple[np.ndarray, np.ndarray], best)  # of one round at least
 
 
 @njit(cache=True, error_model="numpy", nogil=True)

@@ -12,8 +12,7 @@ if TYPE_CHECKING:
     import numpy as np
 
     from kr270_milling.path.trajectory import Trajectory
-    from kr270_milling.physics.compensation.learning import Learner
-    from kr270_milling.physics.compensation.models import CellModels
+    from kr270_milling.physics.compensation.learning import CellModels, Learner
     from kr270_milling.physics.compensation.revision import PassRecord
 
 

@@ -2,6 +2,9 @@
 
 Every method needs the times and positions of the tool in a pass. A shift of the reference moves the tool by the same
 shift, and the displacement under load stays nearly the same, so ``reference' = target - displacement``.
+
+Its limits: the size of the correction, and its change from one tick of the controller to the next. The static mirror
+(30)-(32), Fig. 8, is the target point that the load moves onto the programmed point.
 """
 
 from __future__ import annotations
@@ -9,11 +12,99 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
+from kr270_milling.base.column import column
 from kr270_milling.base.errors import ModelError
+from kr270_milling.base.frames import Pose
 from kr270_milling.path.controller_motion import block_ends, controller_motion, spline_slopes
 from kr270_milling.path.trajectory import Trajectory, slerp
-from kr270_milling.physics.compensation.limiting import UNBOUNDED, Bounds, Limited, describe, limit_change
+from kr270_milling.physics.robot import Arm, Mount, equilibrium, inverse_near
+
+
+@dataclass(frozen=True)
+class Bounds:
+    """Limits of a correction."""
+
+    max_correction: float = np.inf  #: [m]
+    max_change: float = np.inf  #: [m], within each tick
+    tick: float = 12e-3  #: [s], of the controller
+
+
+UNBOUNDED = Bounds()
+
+
+@dataclass(frozen=True)
+class Limited:
+    """Neighbouring knots whose correction was limited; points are counted from 1, as in the robot program."""
+
+    kind: str = column("kind")  #: "size" or "change"
+    first: int = column("first")  #: point
+    last: int = column("last")  #: point
+    worst: int = column("worst")  #: point that lost most
+    time: float = column("time_s")  #: [s], of the worst one
+    wanted: float = column("wanted_um", 1e6)  #: [m], size of the correction there
+    missing: float = column("missing_um", 1e6)  #: [m], the part of it that is left out; more where the sign turns
+
+    @property
+    def feed_share(self) -> float:
+        """Share of the programmed feed at which the limit would about hold, where the inertia of the arm asks for it.
+
+        Of a correction of which a part is left.
+        A path that is run at the share f accelerates with f^2 and so does the correction c = r'' / omega^2; its change
+        in a tick goes with f^3.
+        """
+        remaining = 1.0 - self.missing / self.wanted
+        return remaining ** (1.0 / 2.0 if self.kind == "size" else 1.0 / 3.0)
+
+    @property
+    def sentence(self) -> str:
+        where = f"point {self.first}" if self.first == self.last else f"points {self.first} to {self.last}"
+        why = "is too large" if self.kind == "size" else "changes too fast"
+        left = f"{1e6 * self.missing:.1f} of {1e6 * self.wanted:.1f} um are left out"
+        if self.missing >= self.wanted:
+            wanted = f"{1e6 * self.wanted:.1f} um are wanted"
+            left = f"{wanted}, and the correction is {1e6 * self.missing:.1f} um away from them,"
+        return f"the correction {why} at {where}: {left} at point {self.worst} ({self.time:.3f} s)"
+
+
+def limit_change(knots: np.ndarray, most: np.ndarray) -> np.ndarray:
+    """Corrections (n, 3) [m] that change by no more than ``most`` (n - 1,) [m] from knot to knot.
+
+    The mean of what follows as fast as it may and of what starts as early as it must: without lag on the whole, and
+    unchanged where nothing is to be limited.
+    """
+    if np.all(np.linalg.norm(np.diff(knots, axis=0), axis=1) <= most):
+        return knots
+    return 0.5 * (_follow(knots, most) + _follow(knots[::-1], most[::-1])[::-1])
+
+
+def _follow(knots: np.ndarray, most: np.ndarray) -> np.ndarray:
+    followed = knots.copy()
+    gaps = np.linalg.norm(np.diff(knots, axis=0), axis=1)
+    behind = False
+    for k in range(1, len(knots)):
+        if not behind and gaps[k - 1] <= most[k - 1]:
+            continue
+        gap = knots[k] - followed[k - 1]
+        length = float(np.sqrt(gap @ gap))
+        behind = length > most[k - 1]
+        if behind:
+            followed[k] = followed[k - 1] + gap * (most[k - 1] / length)
+    return followed
+
+
+def describe(kind: str, time: np.ndarray, wanted: np.ndarray, allowed: np.ndarray) -> tuple[Limited, ...]:
+    """Return a Limited for each run of knots whose correction (n, 3) [m] was changed; time [s], (n,)."""
+    missing, size = np.linalg.norm(wanted - allowed, axis=1), np.linalg.norm(wanted, axis=1)
+    # 1 nm less of a correction is no limitation
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], missing > 1e-9, [0]]))).reshape(-1, 2)
+    worst = [start + int(np.argmax(missing[start:stop])) for start, stop in edges.tolist()]
+    return tuple(
+        Limited(kind, start + 1, stop, k + 1, float(time[k]), float(size[k]), float(missing[k]))
+        for (start, stop), k in zip(edges.tolist(), worst, strict=True)
+    )
+
 
 ROUNDS = 30  #: rounds of tightening the limits at the knots until the spline between them keeps them too
 
@@ -182,3 +273,65 @@ def chord_error(target: Trajectory) -> float:
     move = np.diff(target.position, axis=0)
     along = np.sum(off * move, axis=1, keepdims=True) / np.maximum(np.sum(move**2, axis=1, keepdims=True), 1e-300)
     return float(np.max(np.linalg.norm(off - along * move, axis=1)))
+
+
+LEVER = 0.1  # [m]; weighs a rotation against a displacement in the convergence measure: about a tool's length
+
+
+def loaded_pose(arm: Arm, mount: Mount, joints, wrench, sag_compensated: bool, tool_compliance: float = 0.0) -> Pose:
+    """t_F = f^-1(F | t_0), (30): loaded tool pose for commanded joints (n, 6), under wrenches (n, 6), base axes.
+
+    With ``sag_compensated`` the controller sees to it that the link weights alone do not move the tool; they still
+    load the arm. tool_compliance [m/N]: of the tool tip against the spindle, lateral, in series with the arm.
+    """
+    loaded = equilibrium(arm, mount, joints, wrench, gravity=True).pose
+    if tool_compliance:
+        axis, force = loaded.rotation[..., 2], np.asarray(wrench, float)[..., :3]
+        lateral = force - np.sum(force * axis, axis=-1, keepdims=True) * axis
+        loaded = Pose(loaded.position + tool_compliance * lateral, loaded.rotation)
+    if not sag_compensated:
+        return loaded
+    sagged = equilibrium(arm, mount, joints, np.zeros_like(wrench), gravity=True).pose
+    commanded = equilibrium(arm, mount, joints, np.zeros_like(wrench), gravity=False).pose
+    turned = loaded.rotation @ np.swapaxes(sagged.rotation, -1, -2)
+    return Pose(commanded.position + loaded.position - sagged.position, turned @ commanded.rotation)
+
+
+def mirror(
+    arm: Arm,
+    mount: Mount,
+    target: Pose,
+    wrench: np.ndarray,
+    seed: np.ndarray,
+    *,
+    tool_compliance: float = 0.0,
+    relaxation: float = 0.9,
+    sag_compensated: bool = True,
+    tolerance: float = 1e-9,
+    max_iterations: int = 60,
+) -> tuple[Pose, np.ndarray, list[float]]:
+    """Solve (31) by the iteration (32) for target poses (n,) in base_link under wrenches (n, 6) [N, N m], base axes.
+
+    Returns the modified target points t_0^(F), the joint positions (n, 6) [rad] that command them, the inverse
+    kinetostatic model, and the largest remaining error [m] before each iteration.
+
+    seed: a posture [rad], (6,), of the branch that the first target is on. tolerance [m]; a rotation error counts
+    with a lever of 0.1 m. Raises ModelError, and the errors of the inverse kinematics and of the equilibrium.
+    """
+    wrench = np.broadcast_to(wrench, target.position.shape[:-1] + (6,))
+    modified, history = target, []
+    for _ in range(max_iterations):
+        joints = inverse_near(arm, mount, modified, seed)
+        loaded = loaded_pose(arm, mount, joints, wrench, sag_compensated, tool_compliance)
+        shift = target.position - loaded.position
+        turn = Rotation.from_matrix(target.rotation @ np.swapaxes(loaded.rotation, -1, -2))
+        vector = turn.as_rotvec()
+        history.append(float(np.max(np.linalg.norm(shift, axis=-1) + LEVER * np.linalg.norm(vector, axis=-1))))
+        if history[-1] <= tolerance:
+            return modified, joints, history
+        step = Rotation.from_rotvec(relaxation * vector).as_matrix()
+        modified = Pose(modified.position + relaxation * shift, step @ modified.rotation)  # (32)
+    raise ModelError(
+        f"the compensated target point did not converge: {history[-1]:.3g} m left after {len(history)} iterations "
+        f"of (32), wanted {tolerance:.3g} m; lower compensation.relaxation or check the load"
+    )

@@ -2,10 +2,16 @@
 
 from kr270_milling.physics.cutting.cut import Cut, CutModel, EngagementCut
 from kr270_milling.physics.cutting.force_law import ForceLaw
-from kr270_milling.physics.cutting.fractional import FractionalLaw, fractional
 from kr270_milling.physics.cutting.grid import Stock
-from kr270_milling.physics.cutting.laws import LAWS, Cutting
-from kr270_milling.physics.cutting.linear_edge import AL7075_T6, LinearEdgeLaw, linear_edge
+from kr270_milling.physics.cutting.laws import (
+    AL7075_T6,
+    LAWS,
+    Cutting,
+    FractionalLaw,
+    LinearEdgeLaw,
+    fractional,
+    linear_edge,
+)
 from kr270_milling.physics.cutting.state import Params, State, make_params, make_state
 from kr270_milling.physics.cutting.sweep import NO_FORCES, sweep, undo
 from kr270_milling.physics.cutting.tool import Tool

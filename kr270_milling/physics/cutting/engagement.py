@@ -50,7 +50,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from kr270_milling.physics.cutting.compiled import inlined
+from kr270_milling.physics.cutting.compiled import inlined, inner
 from kr270_milling.physics.cutting.fill import any_above
 from kr270_milling.physics.cutting.force_law import call_law
 from kr270_milling.physics.cutting.grid import MAX_TILES, TILE, Stock, tile_count
@@ -145,7 +145,7 @@ class EngagementState(NamedTuple):
     log_rest: np.ndarray  # uint16
     floors: np.ndarray  # (FLOORS, 3): x and y of former tips [m], level to which that footprint is cut; deepest first
     spans: np.ndarray  # int32, (6, columns): scratch: first and last nodes of each column in ``_clear``
-    ahead: np.ndarray  # (ahead, 2): removed ahead in the present step, by bin: levels, and these times their thickness
+    ahead: np.ndarray  # int64, (ahead, 2): removed in the present step, by bin: levels, and these times their thickness
     sunk: np.ndarray  # (sectors, 3): removed below the former footprint: levels, nodes, and nodes times R / r
     edge: EdgeBins | None  # None: a flat end
 
@@ -254,7 +254,7 @@ def make_engagement_state(p: EngagementParams, stock: Stock) -> EngagementState:
         log_rest=np.empty(8 * footprint, np.uint16),
         floors=np.zeros((FLOORS, 3)),
         spans=np.zeros((6, 2 * p.reach + 3), np.int32),
-        ahead=np.zeros((bins, 2)),
+        ahead=np.zeros((bins, 2), np.int64),
         sunk=np.zeros((SECTORS, 3)),
         edge=edge,
     )
@@ -364,7 +364,7 @@ def flat_part(s, p, x0, y0, z0, x1, y1, z1, passes, wrench):
         remember(s, x1, y1, level)
         return 0.0, 0.0, 0.0
     for k in range(s.ahead.shape[0]):
-        s.ahead[k, 0] = s.ahead[k, 1] = 0.0
+        s.ahead[k, 0] = s.ahead[k, 1] = 0
     dx, dy = x1 - x0, y1 - y0
     m = math.sqrt(dx * dx + dy * dy)
     ahead_x, ahead_y = (dx / m, dy / m) if m > 0.0 else (1.0, 0.0)
@@ -433,7 +433,7 @@ def _cut_before(s, level):
     return (s.floors[known - 1, 0], s.floors[known - 1, 1]) if known > 0 else (FAR, FAR)
 
 
-@inlined
+@inner
 def _clear(s, p, x0, y0, x1, y1, level, sinking, to_middle, ahead_x, ahead_y):
     """Lower the footprint at (x1, y1) to ``level``, without the inside of that at (x0, y0), which is cut.
 
@@ -607,9 +607,7 @@ def _column(s, p, i, low, high, level, sinking, along, frame):
                 rest = np.int64(rests[place])
                 full = 4.0 * (beside + abs(dv))
                 cover = 2.0 * (inside - dv * dv) + 0.5 * full  # ``full`` times the covered share
-                after = level
-                if cover < full:
-                    after = rest + np.int64(cover * (level - rest) / full + 0.5)
+                after = rest + np.int64(min(cover, full) * (level - rest) / full + 0.5)
                 if after > before:
                     if room:
                         log_place[np.uint64(logged)], log_level[np.uint64(logged)] = place, before
@@ -645,7 +643,7 @@ def _load(s, p, m, sinking, ahead_x, ahead_y, passes, wrench):
     share = p.teeth / (2.0 * math.pi)
     local_x = local_y = force_z = moment_x = moment_y = torque = total = raised = 0.0
     for k in range(s.ahead.shape[0]):
-        volume = s.ahead[k, 0]
+        volume = float(s.ahead[k, 0])
         if volume > 0.0:
             h = m * p.cosines[k] / p.widths[k] / passes
             height = share * p.widths[k] * volume * cell / (p.radius * m * p.cosines[k])  # a_k f_k N dphi / (2 pi)

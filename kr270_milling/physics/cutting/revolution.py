@@ -41,9 +41,8 @@ from kr270_milling.physics.cutting.engagement import (
 from kr270_milling.physics.cutting.force_law import call_law
 from kr270_milling.physics.cutting.grid import LEVELS
 from kr270_milling.physics.cutting.profile import ENTRIES, LEVEL, RUN
-from kr270_milling.physics.cutting.runs import GOAL, LOST, PART, REST, SHARE, lower_nodes
 from kr270_milling.physics.cutting.state import LEVEL_SUM
-from kr270_milling.physics.cutting.tilted import lower_tilted
+from kr270_milling.physics.cutting.tilted import GOAL, LOST, PART, REST, SHARE, lower_nodes, lower_tilted
 
 ALONG, BESIDE, AT, SINE, FAR, END = (RUN * k for k in range(5, 11))  # further rows of ``EdgeBins.work``
 ONE = np.uint64(1)

@@ -29,27 +29,56 @@ import math
 import numpy as np
 
 from kr270_milling.physics.cutting.compiled import compiled, inlined, inner
-from kr270_milling.physics.cutting.engagement import BEYOND, RIM, SINES, SWING, take_tile
+from kr270_milling.physics.cutting.engagement import BEYOND, LOG_LOST, RIM, SINES, SWING, take_tile
 from kr270_milling.physics.cutting.grid import LEVELS
 from kr270_milling.physics.cutting.profile import ENTRIES, RUN
-from kr270_milling.physics.cutting.runs import (
-    BOUND,
-    FALL,
-    GOAL,
-    LOST,
-    NEAR,
-    PART,
-    REST,
-    SHARE,
-    lower_nodes,
-)
-from kr270_milling.physics.cutting.state import UNDERCUT
+from kr270_milling.physics.cutting.state import LEVEL_SUM, LOGGED, NODES_CUT, UNDERCUT
+
+# Rows of ``EdgeBins.work``, a number for each node of a run
+GOAL = 0  # level of the tool; below 0: the node stays
+PART = RUN  # covered part of the cell
+SHARE = 2 * RUN  # of the step, after which the tool is lowest
+LOST = 3 * RUN  # levels that the cell loses
+REST = 4 * RUN  # level before of what the tool had not covered
+BOUND = 5 * RUN  # level below which no node of a whole run is lowered
+FALL = 7 * RUN  # half of the difference of the levels of the tool over a cell
+NEAR = 6 * RUN  # 2: the tool covers cells of a whole run in part; 1: it did so at the start of the step
+
+
+@inlined
+def lower_nodes(s, p, base, first):
+    """Lower the nodes of the run from ``first`` to GOAL, log what they were, and fill LOST and REST."""
+    work, none, zero, one, half = s.edge.work, np.int32(0), np.float32(0), np.float32(1), np.float32(0.5)
+    total, new, least, start = np.int32(0), np.int32(0), np.int32(LEVELS), np.uint64(base + first)
+    for n in range(RUN):
+        place = start + np.uint64(n)
+        before, rest, part, goal = np.int32(s.pool[place]), s.rest[place], work[PART + n], work[GOAL + n]
+        height = goal - np.float32(rest)
+        after = np.int32(goal + half) if part >= one else np.int32(rest) + np.int32(part * height + half)
+        lost = max(after - before, none) if height > zero else none
+        s.pool[place] = np.uint16(before + lost)
+        s.rest[place] = np.uint16(after) if part >= one and lost > none else rest
+        work[LOST + n], work[REST + n] = np.float32(lost), np.float32(rest)
+        total, least = total + lost, min(least, before + lost)
+        new += np.int32(before == none and lost > none)
+    s.ints[NODES_CUT] += new
+    s.floats[LEVEL_SUM] += total * p.level_step
+    s.edge.highest[start // np.uint64(RUN)] = least
+    logged = s.ints[LOGGED]
+    s.ints[LOGGED] = LOG_LOST
+    if logged + RUN < s.log_place.size:
+        for n in range(RUN):
+            if work[LOST + n] > zero:
+                place = start + np.uint64(n)
+                s.log_place[np.uint64(logged)] = place
+                s.log_level[np.uint64(logged)] = s.pool[place] - np.uint16(work[LOST + n])
+                s.log_rest[np.uint64(logged)] = np.uint16(work[REST + n])
+                logged += 1
+        s.ints[LOGGED] = logged
+
 
 MISSED = math.inf  # height of a tool that does not cover a node
-SLICES = 40  # of a column as high as the radius; 20 leave 1 % beside a corner of R/5, 40 and 80 less than 0.2 %
 ROUND = 4  # the same without a level end
-STEEP = 0.9  # cos(kappa) of a piece of an arc, below which it is seen from the middle of the way
-NEWTON = 2  # steps to the moment at which the tool meets a slice
 U, V, X, Y, Z, NU, NV, NZ, LAST, RISE, COVER, SLOPE = (RUN * k for k in range(12))  # rows of ``EdgeBins.place``
 # the place of a node beside the cylinder is scattered over its cell, so that a row of nodes along the feed fills all
 # bins that its cells meet: SCATTER_X i + SCATTER_Y j, as a share of 2^32
@@ -585,7 +614,8 @@ def _sort_column(s, p, step, frame, share, column, lost):
     m = step[0] * frame[0] + step[1] * frame[1] + step[2] * frame[2]
     side = step[0] * frame[3] + step[1] * frame[4] + step[2] * frame[5]
     sink = step[0] * frame[6] + step[1] * frame[7] + step[2] * frame[8]
-    count = 1 + min(int((SLICES if p.end_radius > 0.0 else ROUND) * math.sqrt(height / p.radius)), 1000)
+    # slices of a column as high as the radius; 20 leave 1 % beside a corner of R/5, 40 and 80 less than 0.2 %
+    count = 1 + min(int((40 if p.end_radius > 0.0 else ROUND) * math.sqrt(height / p.radius)), 1000)
     thin = height / (count * count)
     entry = ENTRIES / p.radius
     slant = end_x * step[6] + end_y * step[7]
@@ -604,7 +634,8 @@ def _sort_column(s, p, step, frame, share, column, lost):
             radius = _radius_at(p.profile.parts, at) + slack
             beyond = at > 0.0 and square > radius * radius and slant < at * step[14] * step[14]
         before = 0.5 * share  # of the lowest place
-        for left in range(NEWTON if p.end_radius > 0.0 else 0, -1, -1):
+        # steps to the moment at which the tool meets a slice
+        for left in range(2 if p.end_radius > 0.0 else 0, -1, -1):
             u, v, w = end_x + before * step[0], end_y + before * step[1], end_z + before * step[2] + up
             h = u * frame[6] + v * frame[7] + w * frame[8]
             e1 = u * frame[0] + v * frame[1] + w * frame[2]
@@ -622,7 +653,8 @@ def _sort_column(s, p, step, frame, share, column, lost):
             if left == 0 and h > p.end_radius - rho and shape.sine[b] < FLAT and shape.edges[b] < 0.5:
                 while b < last and shape.sine[b] < FLAT:  # nearer to the side, which left it in a cell of its rim
                     b += 1
-            if beyond or left == 0 or (shape.bend[b] > 0.0 and shape.cosine[b] < STEEP):
+            # cos(kappa) of a piece of an arc, below which it is seen from the middle of the way
+            if beyond or left == 0 or (shape.bend[b] > 0.0 and shape.cosine[b] < 0.9):
                 break
             gap = (rho - shape.rims[b]) * shape.sine[b] - (h - shape.edges[b] * p.level_step) * shape.cosine[b]
             speed = (m * e1 + side * e2) / rho * shape.sine[b] - sink * shape.cosine[b]

@@ -90,13 +90,9 @@ def _arm_modes(arm: Arm, mount: Mount, dynamics: Dynamics, workpiece: Pose, join
     to_workpiece = workpiece.rotation.T
     flexible = rotate_matrix(compliance(loaded, arm), to_workpiece)
     inert = rotate_matrix(cartesian_mass(arm, mount, joints, dynamics.mass_model), to_workpiece)
-    return modes(flexible, _clean(inert))
-
-
-def _clean(mass: np.ndarray) -> np.ndarray:
-    """Turning matrices (n, 6, 6) whose rotations carry no inertia must leave exact zeros there."""
-    rounding = 1e-12 * np.abs(mass).max((-2, -1), keepdims=True)
-    return np.where(np.abs(mass) < rounding, 0.0, 0.5 * (mass + mass.swapaxes(-1, -2)))
+    rounding = 1e-12 * np.abs(inert).max((-2, -1), keepdims=True)
+    # turning matrices (n, 6, 6) whose rotations carry no inertia must leave exact zeros there
+    return modes(flexible, np.where(np.abs(inert) < rounding, 0.0, 0.5 * (inert + inert.swapaxes(-1, -2))))
 
 
 def measured_model(measured: MeasuredModes) -> ModalModel:
@@ -142,14 +138,15 @@ def arm_model(
 
         t_k = t_(k-1) + (1 - exp(-H / T)) (C_tool F_k - t_(k-1)),   deflection = delta + t
     """
-    stacked = zip(*(discretise(m, damping_ratio, period) for m in models), strict=True)
-    a, b, p, q = (np.ascontiguousarray(s) for s in map(np.stack, stacked))
+    rows = {f.name: [getattr(model, f.name) for model in models] for f in dataclasses.fields(ModalModel)}
+    every = ModalModel(**{name: np.stack(values) for name, values in rows.items() if values[0] is not None})
+    a, b, p, q = map(np.ascontiguousarray, discretise(every, damping_ratio, period))
     response = np.zeros((*a.shape[:2], 0))
     if reference_inertia:
-        response = np.stack([discretise_reference(m, damping_ratio, period) for m in models])
-    if models[0].tool is not None:
+        response = discretise_reference(every, damping_ratio, period)
+    if every.tool is not None:
         share = -math.expm1(-period / revolution) if revolution else 1.0
-        a, b, p, response = _with_tool(a, b, p, response, np.array([m.tool for m in models]), share)
+        a, b, p, response = _with_tool(a, b, p, response, every.tool, share)
     return ArmModel(a, b, p, q, np.ascontiguousarray(response), float(steps_per_knot), approach)
 
 

@@ -41,7 +41,7 @@ class ArmFactors(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class ModalModel:
-    """The undamped modes of M delta'' + K delta = F in the r components that carry inertia."""
+    """The undamped modes of M delta'' + K delta = F in the r components that carry inertia; of n postures (n, ...)."""
 
     inertial: np.ndarray  #: indices of the components with inertia, (r,)
     frequency: np.ndarray  #: [rad/s], (r,), ascending
@@ -170,21 +170,20 @@ def modes(compliance: np.ndarray, mass: np.ndarray) -> list[ModalModel]:
 
 
 def discretise(model: ModalModel, damping_ratio: float, period: float) -> tuple[np.ndarray, ...]:
-    """A (2r, 2r), B (2r, 6), P (6, 2r), Q (6, 6) over ``period`` [s] for a constant wrench.
+    """A (2r, 2r), B (2r, 6), P (6, 2r), Q (6, 6) over ``period`` [s] for a constant wrench; of n postures (n, ...).
 
     Exact for M delta'' + C delta' + K delta = F   (1) [Klimchik2014].
     """
-    w, r = model.frequency, model.frequency.size
-    a11, a12, a21, a22 = _free(w, model.ratios(damping_ratio), period)
-    to, back = model.shape, model.shape.T @ model.mass  # eta -> delta, delta -> eta
+    w, to = model.frequency[..., None, :], model.shape  # eta -> delta
+    a11, a12, a21, a22 = _free(w, model.ratios(damping_ratio)[..., None, :], period)
+    back, modal_force = (to.swapaxes(-1, -2) @ matrix for matrix in (model.mass, model.force))  # delta -> eta
     transition = np.block([[to * a11 @ back, to * a12 @ back], [to * a21 @ back, to * a22 @ back]])
-    modal_force = model.shape.T @ model.force
-    driven = np.vstack([to * ((1.0 - a11) / w**2) @ modal_force, to * (-a21 / w**2) @ modal_force])
-    return transition, driven, np.hstack([model.output, np.zeros((6, r))]), model.feedthrough
+    driven = np.concatenate([to * ((1.0 - a11) / w**2) @ modal_force, to * (-a21 / w**2) @ modal_force], -2)
+    return transition, driven, np.concatenate([model.output, np.zeros(model.output.shape)], -1), model.feedthrough
 
 
 def _free(w: np.ndarray, z: np.ndarray, period: float) -> tuple[np.ndarray, ...]:
-    """a11, a12, a21, a22, each (r,), of the free vibration: (eta, eta') at the end from those at the start."""
+    """a11, a12, a21, a22, each (..., r), of the free vibration: (eta, eta') at the end from those at the start."""
     damped = w * np.sqrt(1.0 - z * z)
     decay, c, s = np.exp(-z * w * period), np.cos(damped * period), np.sin(damped * period)
     a11, a12 = decay * (c + z * w / damped * s), decay * s / damped
@@ -198,17 +197,17 @@ def discretise_reference(model: ModalModel, damping_ratio: float, period: float)
     A jump of r' by v leaves z' as it was, so delta' jumps by -v. A modal force t / H leaves
     eta(H) = (1 - a12 / H - 2 zeta (1 - a11) / (omega H)) / omega^2, and eta'(H) is the derivative of its like.
     """
-    w, z, h = model.frequency, model.ratios(damping_ratio), period
+    w, z, h = model.frequency[..., None, :], model.ratios(damping_ratio)[..., None, :], period
     a11, a12, a21, a22 = _free(w, z, h)
     driven = (1.0 - a11) / w**2, -a21 / w**2
     ramp = (1.0 - a12 / h - 2.0 * z * (1.0 - a11) / (w * h)) / w**2, (1.0 - a22 + 2.0 * z * a21 / w) / (w**2 * h)
-    to, back = model.shape, model.shape.T @ model.mass @ model.reference  # eta -> delta, r -> eta
+    to, back = model.shape, model.shape.swapaxes(-1, -2) @ model.mass @ model.reference  # eta -> delta, r -> eta
 
     def response(place, speed):
-        return -np.vstack([to * place @ back, to * speed @ back])
+        return -np.concatenate([to * place @ back, to * speed @ back], -2)
 
     falling = [constant - rising for constant, rising in zip(driven, ramp, strict=True)]  # from 1 to 0
-    return np.hstack([response(a12, a22), response(*falling), response(*ramp)])
+    return np.concatenate([response(a12, a22), response(*falling), response(*ramp)], -1)
 
 
 def reference_motion(

@@ -24,7 +24,6 @@ from kr270_milling.physics.motion.dynamics import ArmModel, advance, drive, swin
 from kr270_milling.physics.motion.periods import Clock
 
 WINDOW = 65_536  # exchange periods whose reference is sampled at once, some 600 bytes each
-CHUNK = 4000  # exchange periods between two reports of progress
 #: shape of a row of each series of a pass
 SERIES: dict[str, tuple[int, ...]] = {
     "time_ns": (), "target": (3,), "reference": (3,), "tool": (3,), "deflection": (6,), "wrench": (6,),
@@ -228,6 +227,7 @@ def run_pass(
     progress(done, total) is called every 4000 exchange periods. Raises MillingError if the grid has no
     more tiles or the periods are too long to be iterated, and PassError where the arm would fly off.
     """
+    chunk = 4000  # exchange periods between two reports of progress
     n = clock.steps(reference.duration_ns)
     every = max(1, math.ceil(n / most_rows))
     window = WINDOW // every * every
@@ -265,8 +265,8 @@ def run_pass(
         )
         _exchange(begin, begin, begin, *carried)  # compiled before the clock runs
         start = time.perf_counter()
-        for first in range(begin, end, CHUNK):
-            last = min(first + CHUNK, end)
+        for first in range(begin, end, chunk):
+            last = min(first + chunk, end)
             whole = _exchange(begin, first, last, *carried)
             cut.refuse_failure(whole)
             part = slice(first - begin, last - begin + 1)

@@ -1,8 +1,7 @@
-"""Export topics as CSV or Parquet files, message by message, with bounded memory. Parquet needs pyarrow."""
+"""Export topics as CSV files, message by message, with bounded memory."""
 
 from __future__ import annotations
 
-import contextlib
 import csv
 import io
 import itertools
@@ -16,24 +15,13 @@ from pathlib import Path
 import numpy as np
 
 from kr270_milling.base.errors import InputError, RecordingError
-from kr270_milling.base.extensions import require_extra
 from kr270_milling.base.files import staged
 from kr270_milling.base.units import SECOND
 from kr270_milling.recordings.bag.reader import Recording
 from kr270_milling.recordings.messages.cdr import FIXED, TRAJECTORY, read_trajectory, unpack_stamped
 from kr270_milling.recordings.messages.definitions import plain
 
-MAX_FILES = 100  # most files of a topic; a new file begins when the columns change
-ROWS, TEXT_BYTES = 1024, 1024 * 1024  # in one group of a Parquet file
 Row = tuple[list[str], list]  # names of the columns, cells
-POINT = [
-    *(f"position_{a}_m" for a in "xyz"),
-    *(f"orientation_{a}" for a in "xyzw"),
-    *(f"velocity_{a}_m_per_s" for a in "xyz"),
-    *(f"angular_velocity_{a}_rad_per_s" for a in "xyz"),
-    *(f"acceleration_{a}_m_per_s2" for a in "xyz"),
-    *(f"angular_acceleration_{a}_rad_per_s2" for a in "xyz"),
-]
 
 
 def export(
@@ -41,15 +29,12 @@ def export(
     directory,
     topics: Collection[str] | None = None,
     progress: Callable | None = None,
-    kind: str = "csv",
 ) -> tuple[list[Path], dict[str, str]]:
-    """Write one file for each topic into a directory; progress(messages done, of all); kind: "csv" or "parquet".
+    """Write one file for each topic into a directory; progress(messages done, of all).
 
     Returns the written files, and a sentence for each topic that cannot be read; the other topics are written. Raises
-    RecordingError for an unknown topic and a full disk, MillingError without pyarrow.
+    RecordingError for an unknown topic and a full disk.
     """
-    if kind == "parquet":
-        require_extra("Parquet", "studies", "pyarrow")
     known = recording.topics()
     missing = sorted(set(topics or ()) - set(known))
     if missing:
@@ -62,7 +47,7 @@ def export(
         for topic, about in known.items():
             if about.count and (topics is None or topic in topics):
                 try:
-                    files += _export_topic(recording, topic, Path(directory), kind, files)
+                    files += _export_topic(recording, topic, Path(directory), files)
                 except RecordingError as error:
                     refused[topic] = str(error)
             exported += about.count
@@ -75,21 +60,21 @@ def export(
     return files, refused
 
 
-def _export_topic(recording: Recording, topic: str, directory: Path, kind: str, taken: list[Path]) -> list[Path]:
+def _export_topic(recording: Recording, topic: str, directory: Path, taken: list[Path]) -> list[Path]:
     """Write the files of a topic: a new file each time the columns change. They appear when all are complete."""
+    max_files = 100  # most files of a topic; a new file begins when the columns change
     files: list[Path] = []
-    write = _write_csv if kind == "csv" else _write_parquet
     with staged(directory) as (draft, _):
         for columns, alike in itertools.groupby(rows(recording, topic), key=operator.itemgetter(0)):
-            if len(files) == MAX_FILES:
-                raise RecordingError(recording.path, f"the columns of {topic} change more than {MAX_FILES} times")
-            number, file = 1, directory / f"{_word(topic)}.{kind}"
+            if len(files) == max_files:
+                raise RecordingError(recording.path, f"the columns of {topic} change more than {max_files} times")
+            number, file = 1, directory / f"{_word(topic)}.csv"
             while file in (*taken, *files):  # another topic has this name
                 number += 1
-                file = directory / f"{_word(topic)}_{number}.{kind}"
+                file = directory / f"{_word(topic)}_{number}.csv"
             files.append(file)
             with open(draft / files[-1].name, "xb") as stream:
-                write(stream, columns, (cells for _, cells in alike))
+                _write_csv(stream, columns, (cells for _, cells in alike))
     return files
 
 
@@ -103,32 +88,6 @@ def _write_csv(stream, columns: list[str], rows: Iterable[list]) -> None:
 def _inert(cell):
     """Return a cell that no spreadsheet takes for a formula: an apostrophe before texts such as =1+1."""
     return f"'{cell}" if isinstance(cell, str) and cell.startswith(("=", "+", "-", "@", "\t", "\r")) else cell
-
-
-def _write_parquet(stream, columns: list[str], rows: Iterable[list]) -> None:
-    import pyarrow.parquet
-
-    with contextlib.ExitStack() as stack:
-        writer: pyarrow.parquet.ParquetWriter | None = None
-        for table in _tables(rows):
-            schema = writer.schema if writer else None
-            group = pyarrow.table(dict(zip(columns, map(list, zip(*table, strict=True)), strict=True)), schema=schema)
-            writer = writer or stack.enter_context(pyarrow.parquet.ParquetWriter(stream, group.schema))
-            writer.write_table(group)
-
-
-def _tables(rows: Iterable[list]) -> Iterator[list[list]]:
-    """Group rows, up to 1024 rows or 1 MB of text."""
-    table: list[list] = []
-    size = 0
-    for row in rows:
-        table.append(row)
-        size += sum(len(cell) for cell in row if isinstance(cell, str))
-        if len(table) == ROWS or size > TEXT_BYTES:
-            yield table
-            table, size = [], 0
-    if table:
-        yield table
 
 
 def rows(recording: Recording, topic: str) -> Iterator[Row]:
@@ -163,11 +122,19 @@ def _series_rows(recording: Recording, topic: str, kind: str) -> Iterator[Row]:
 
 def _trajectory_rows(recording: Recording, topic: str) -> Iterator[Row]:
     """Yield one row for each point; with several bodies the columns have the name of the body."""
+    quantities = [
+        *(f"position_{a}_m" for a in "xyz"),
+        *(f"orientation_{a}" for a in "xyzw"),
+        *(f"velocity_{a}_m_per_s" for a in "xyz"),
+        *(f"angular_velocity_{a}_rad_per_s" for a in "xyz"),
+        *(f"acceleration_{a}_m_per_s2" for a in "xyz"),
+        *(f"angular_acceleration_{a}_rad_per_s2" for a in "xyz"),
+    ]
     for number, message in enumerate(recording.messages([topic])):
         trajectory = read_trajectory(message.data)
         prefixes = [f"{_word(name)}_" if len(trajectory.names) > 1 else "" for name in trajectory.names]
         columns = ["message", "stamp_ns", "frame_id", "time_from_start_ns"]
-        columns += [prefix + name for prefix in prefixes for name in POINT]
+        columns += [prefix + name for prefix in prefixes for name in quantities]
         bodies = np.concatenate(
             [trajectory.position, trajectory.quaternion, trajectory.velocity, trajectory.acceleration], axis=2
         )

@@ -92,7 +92,6 @@ def _unpacked(path: Path, packed: IO[bytes]) -> IO[bytes]:
     return stream
 
 
-INFINITE = 2**63 - 1  # [ns]; rosbag2's duration without limit
 #: parts of a profile in the order of rosbag2
 QOS = ("history", "depth", "reliability", "durability", "deadline", "lifespan", "liveliness",
        "liveliness_lease_duration", "avoid_ros_namespace_conventions")  # fmt: skip
@@ -151,7 +150,7 @@ def bag_information(file_name: str, channels: Iterable, start: int, end: int, cu
         for channel in channels
     ]
     count = sum(topic["message_count"] for topic in topics)
-    starting = {"nanoseconds_since_epoch": start if count else INFINITE}
+    starting = {"nanoseconds_since_epoch": start if count else 2**63 - 1}  # [ns]; rosbag2's duration without limit
     duration = {"nanoseconds": end - start if count else 0}
     return dict(
         version=9,

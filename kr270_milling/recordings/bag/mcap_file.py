@@ -44,7 +44,6 @@ LIMIT = 256 * 1024 * 1024  # [bytes] of a record, and of an unpacked chunk
 LATEST = 2**63  # [ns], in the year 2262; arrays of times are signed
 HEAD = struct.Struct("<BQ")  # opcode and length of a record
 MESSAGE = struct.Struct("<HIQQ")  # channel, sequence, log time, publish time
-DEFINITIONS: dict[int, Any] = {Opcode.SCHEMA: Schema, Opcode.CHANNEL: Channel}
 FOOTER = HEAD.pack(Opcode.FOOTER, 20)
 FOOTER_SIZE = len(FOOTER) + 20 + len(MAGIC)
 UNREADABLE = (McapError, ValueError, struct.error, zstandard.ZstdError, RuntimeError, EOFError, MemoryError)
@@ -333,6 +332,7 @@ def _content(record) -> Iterator[Any]:
     ``mcap.stream_reader.breakup_chunk`` makes an object of each message first: a chunk takes twice its size, and a
     recording is read in 0.36 s instead of 0.16 s (36,000 messages). Raises the errors in UNREADABLE.
     """
+    readers: dict[int, Any] = {Opcode.SCHEMA: Schema, Opcode.CHANNEL: Channel}
     if isinstance(record, (Schema, Channel)):
         yield record
     elif isinstance(record, Message):
@@ -345,5 +345,5 @@ def _content(record) -> Iterator[Any]:
             raise ValueError("a record in a chunk has an impossible length")
         if opcode == Opcode.MESSAGE:
             yield (*MESSAGE.unpack_from(data, begin), data[begin + MESSAGE.size : at])
-        elif opcode in DEFINITIONS:
-            yield DEFINITIONS[opcode].read(_fields(data[begin:at]))
+        elif opcode in readers:
+            yield readers[opcode].read(_fields(data[begin:at]))

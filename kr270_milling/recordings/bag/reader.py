@@ -131,7 +131,8 @@ class Recording:
     def _rename(self) -> None:
         """Give the channels our names of their topics."""
         recorded = {channel.topic for channel in self.channels.values()}
-        spaces = namespaces_of(recorded)
+        # a topic with one of our names may be that of a robot
+        spaces = {space for space, _, name in (topic.rpartition("/") for topic in recorded) if name in OWN}
         for name in self.remap.values():
             exact = {name} if name.startswith("/") else {f"{space}/{name}" for space in spaces}
             if not exact & recorded:
@@ -235,11 +236,6 @@ def own_name(topic: str, remap: Mapping[str, str], namespaces: Collection[str]) 
             if topic in names:
                 return names[topic == names[0]]
     return topic
-
-
-def namespaces_of(topics: Iterable[str]) -> set[str]:
-    """Return the namespaces that may be those of robots: of every topic with one of our names."""
-    return {space for space, _, name in (topic.rpartition("/") for topic in topics) if name in OWN}
 
 
 def span(recording: Recording, start_offset: float, duration: float | None) -> tuple[int, int]:

@@ -21,8 +21,6 @@ from kr270_milling.recordings.bag.info import SHARED, GapCounter
 from kr270_milling.recordings.messages.cdr import stamp_of
 from kr270_milling.recordings.messages.definitions import definition, starts_with_stamp, type_hash
 
-CHUNK_PERIOD = 0.2  # [s]; a SIGKILL loses the messages of this time
-
 
 class MessageRefused(RecordingError):
     """A message that cannot be recorded; the recording continues with the next message."""
@@ -211,9 +209,10 @@ class BagWriter:
             channel.gaps.add(stamp)
 
     def tick(self, now: float) -> None:
-        """Close the chunk after CHUNK_PERIOD; now [s]: any clock that does not go back."""
+        """Close the chunk after 0.2 s; now [s]: any clock that does not go back."""
+        chunk_period = 0.2  # [s]; a SIGKILL loses the messages of this time
         self._last_chunk = min(now, now if self._last_chunk is None else self._last_chunk)
-        if now - self._last_chunk >= CHUNK_PERIOD:
+        if now - self._last_chunk >= chunk_period:
             self._last_chunk = now
             self.flush()
 

@@ -19,8 +19,6 @@ from kr270_milling.base.errors import RecordingError
 
 TYPE_NAME = re.compile(r"([a-z][a-z0-9_]*)/msg/([A-Za-z][A-Za-z0-9_]*)")
 STAMPS = ("Header", "std_msgs/Header", "std_msgs/msg/Header", "builtin_interfaces/Time", "builtin_interfaces/msg/Time")
-#: [bytes] of a message with lists of messages or texts: Python's objects take about twenty times as much
-MOST_OBJECTS = 4 * 1024 * 1024
 
 
 @functools.cache
@@ -169,8 +167,10 @@ def make_decoder(path, name: str, topic: RecordedTopic) -> Callable[[bytes], obj
     limited = _has_lists(store, topic.type)
 
     def decode(data: bytes):
-        if limited and len(data) > MOST_OBJECTS:
-            reason = f"a message on {name} has {len(data)} bytes, more than {MOST_OBJECTS} to be decoded"
+        # [bytes] of a message with lists of messages or texts: Python's objects take about twenty times as much
+        most_objects = 4 * 1024 * 1024
+        if limited and len(data) > most_objects:
+            reason = f"a message on {name} has {len(data)} bytes, more than {most_objects} to be decoded"
             raise RecordingError(path, reason)
         try:
             return read_message(store, topic.type, data)

@@ -20,25 +20,24 @@ from kr270_milling.base.version import __version__
 from kr270_milling.cell.cell_file import read_cells
 from kr270_milling.cell.jobs import joint_ranges
 from kr270_milling.cell.models import cut_of, cut_text_of, path_of
-from kr270_milling.decide.compensation import compensate, limit_sentence
+from kr270_milling.decide.compensation import DecisionOnTools, compensate, in_turn, limit_sentence
 from kr270_milling.decide.decision import CAUTION, NO, YES
 from kr270_milling.decide.levers import Lever, levers
 from kr270_milling.decide.part import FeatureRow, write_part
+from kr270_milling.decide.part.assessment import after_passes, um_text
 from kr270_milling.decide.programs.files import (
     OLDER,
     program_bytes,
+    rsi_address,
     set_aside,
     time_law,
     write_manifest,
     write_programs,
 )
 from kr270_milling.decide.programs.gcode import check_gcode, write_gcode
-from kr270_milling.decide.programs.rsi_context import rsi_address
 from kr270_milling.decide.programs.written import SOFTER, softer_pass
-from kr270_milling.decide.tolerance import after_passes, um_text
-from kr270_milling.decide.tools import DecisionOnTools, in_turn
 from kr270_milling.decide.verdict import SAMPLES
-from kr270_milling.path.trajectory_csv import read_csv
+from kr270_milling.path.trajectory import read_csv
 from kr270_milling.physics.compensation.revision import chord_error
 from kr270_milling.physics.motion.scores import Scores
 from kr270_milling.show.commands.console import (

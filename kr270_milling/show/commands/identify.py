@@ -16,12 +16,11 @@ from kr270_milling.cell.cell_file import read_cell
 from kr270_milling.cell.jobs import simulate
 from kr270_milling.cell.models import arm_of, modal_model_of, path_of
 from kr270_milling.cell.sections import Workpiece
-from kr270_milling.decide.programs.files import write_manifest, write_programs
-from kr270_milling.decide.programs.rsi_context import rsi_address
+from kr270_milling.decide.programs.files import rsi_address, write_manifest, write_programs
 from kr270_milling.exchange.replay.recorded import passes_from_recording
-from kr270_milling.path.trajectory_csv import read_csv
+from kr270_milling.path.trajectory import read_csv
 from kr270_milling.physics.cutting import LAWS
-from kr270_milling.physics.cutting.materials import find_material, materials
+from kr270_milling.physics.cutting.laws import find_material, materials
 from kr270_milling.physics.cutting.tool import Tool
 from kr270_milling.physics.robot.analysis import read_arm
 from kr270_milling.recordings.bag.reader import Recording, remapping
@@ -54,8 +53,6 @@ RECORD = (
     "with RSI run SERVOTEST_ORG, and 'kr270_milling rsi' with the table rsi_offsets_servo; its recording has both",
     "without RSI run SERVOTEST_CMP, and trace commanded and actual positions on the controller, or use a tracker",
 )
-DESIGNS = ("planned for the test pose", "A-optimal", "D-optimal")  #: names of ``load_tests.CRITERIA``
-BLIND_DESIGNS = 201  #: random designs, of which the median is shown
 
 
 def _answer(args, outcome) -> Answer:
@@ -87,6 +84,8 @@ def identify_compliance(args) -> Answer:
 
 def _plan(args, arm, mount, pose) -> Answer:
     """Plan load tests; write their table and program."""
+    blind_designs = 201  # random designs, of which the median is shown
+    criteria = ("planned for the test pose", "A-optimal", "D-optimal")  # names of ``load_tests.CRITERIA``
     if pose is None:
         raise InputError(
             "--plan", "needs the posture where the arm is to mill: name --cell CELL.yaml or --at A1,...,A6"
@@ -97,11 +96,11 @@ def _plan(args, arm, mount, pose) -> Answer:
     if args.plan > len(choice.tests):
         raise InputError("--plan", f"asks for {args.plan} load tests, but only {len(choice.tests)} are possible here")
     planner = load_tests.Planner(arm, mount, choice, pose, not args.no_gravity, args.base)
-    designs = {name: planner.best(args.plan, c) for name, c in zip(DESIGNS, load_tests.CRITERIA, strict=True)}
+    designs = {name: planner.best(args.plan, c) for name, c in zip(criteria, load_tests.CRITERIA, strict=True)}
     rng = np.random.default_rng(args.seed)
-    blind = sorted((planner.random(args.plan, rng) for _ in range(BLIND_DESIGNS)), key=lambda d: d.pose_error)
-    designs[f"random (median of {BLIND_DESIGNS})"] = blind[BLIND_DESIGNS // 2]
-    best = designs[DESIGNS[0]]
+    blind = sorted((planner.random(args.plan, rng) for _ in range(blind_designs)), key=lambda d: d.pose_error)
+    designs[f"random (median of {blind_designs})"] = blind[blind_designs // 2]
+    best = designs[criteria[0]]
     plan = load_tests.sorted_tests(choice.take(best.rows))
     result = plan_as_dict(plan, designs, best, planner.names)
     if args.out:
@@ -236,18 +235,16 @@ def identify_material(args) -> Answer:
     return _answer(args, material_outcome(rows, args.name, rows[args.row - 1] if args.out else None))
 
 
-IDENTIFY = {
-    "compliance": identify_compliance,
-    "forces": identify_forces,
-    "damping": identify_damping,
-    "servo": identify_servo,
-    "backlash": identify_backlash,
-    "material": identify_material,
-}
-
-
 def run_identify(args) -> Answer:
-    return IDENTIFY[args.what](args)
+    identify = {
+        "compliance": identify_compliance,
+        "forces": identify_forces,
+        "damping": identify_damping,
+        "servo": identify_servo,
+        "backlash": identify_backlash,
+        "material": identify_material,
+    }
+    return identify[args.what](args)
 
 
 def run_compare(args) -> Answer:

@@ -225,7 +225,18 @@ def _add_demo(parser) -> None:
 def _add_identify(parser) -> None:
     _example(parser, "identify compliance MEASUREMENTS.csv --arm config/kr270_2.yaml")
     parts = parser.add_subparsers(dest="what", metavar="WHAT", required=True, help="each has --help and --json")
-    for name, (text, add) in IDENTIFICATIONS.items():
+    kinds = {  # as ``COMMANDS``
+        "compliance": ("joint compliances from load tests, or the load tests to make", _add_compliance),
+        "forces": ("force coefficients from mean forces of cuts, or from recordings of a sensor", _add_forces),
+        "damping": ("frequency and damping of the modes from a ring-down or an impact", _add_damping),
+        "servo": (
+            "frequency, damping and dead time of the servo lag from a test move, or the program of the move",
+            _add_servo,
+        ),
+        "backlash": ("backlash of the joints from push and pull at the tool with a dial gauge", _add_backlash),
+        "material": ("published force coefficients of a material", _add_material),
+    }
+    for name, (text, add) in kinds.items():
         _add_command(parts, name, text, add, argparse.SUPPRESS, help=text)
 
 
@@ -343,20 +354,6 @@ def _add_material(parser) -> None:
     add("--out", metavar="DIR", help="write YAML to include")
 
 
-#: as ``COMMANDS``
-IDENTIFICATIONS = {
-    "compliance": ("joint compliances from load tests, or the load tests to make", _add_compliance),
-    "forces": ("force coefficients from mean forces of cuts, or from recordings of a sensor", _add_forces),
-    "damping": ("frequency and damping of the modes from a ring-down or an impact", _add_damping),
-    "servo": (
-        "frequency, damping and dead time of the servo lag from a test move, or the program of the move",
-        _add_servo,
-    ),
-    "backlash": ("backlash of the joints from push and pull at the tool with a dial gauge", _add_backlash),
-    "material": ("published force coefficients of a material", _add_material),
-}
-
-
 def _add_compare(parser) -> None:
     _example(parser, "compare out/original config/paper.yaml")
     add = parser.add_argument
@@ -398,8 +395,7 @@ def _add_export(parser) -> None:
     _example(parser, "export out/pass1 --csv tables")
     add = parser.add_argument
     _shared(parser, "file")
-    add("--csv", metavar="DIR", help="write one CSV file per topic into this directory")
-    add("--parquet", metavar="DIR", help="the same as Parquet")
+    add("--csv", metavar="DIR", required=True, help="write one CSV file per topic into this directory")
     add("--topics", metavar="TOPIC", nargs="+", help="only these")
 
 
@@ -433,19 +429,13 @@ def _add_replay(parser) -> None:
     _example(parser, "replay out/pass1 --recompute")
     add = parser.add_argument
     add("file", metavar="FILE.mcap|DIR", help="a recording")
-    group = parser.add_mutually_exclusive_group()
-    group.add_argument(
+    add(
         "--recompute",
         action="store_true",
         help="no playback: recompute every output and compare bit for bit; exit code 1 if one differs, is "
         "missing or is left over, or the recompute cannot continue",
     )
-    group.add_argument(
-        "--compensate", action="store_true", help="no playback: the revised trajectory from the recorded pass"
-    )
     _shared(parser, "--cell")
-    add("--method", choices=_methods(), help="with --compensate: in place of the recorded method")
-    add("--out", metavar="DIR", help="with --compensate: write reference_trajectory.csv there")
     _shared(parser, "--remap")
     group = parser.add_argument_group("playback (names as in ros2 bag play)")
     for names, keywords in PLAY:
@@ -640,7 +630,7 @@ COMMANDS: dict[str, dict[str, tuple[str, Callable[[argparse.ArgumentParser], Non
     },
     "ROS": {
         "run": ("run the passes of a cell as ROS 2 nodes, each recorded to MCAP", _add_run),
-        "replay": ("play a recording back onto topics, recompute it bit for bit, or compensate from it", _add_replay),
+        "replay": ("play a recording back onto topics, or recompute it bit for bit", _add_replay),
     },
     "recordings": {
         "info": ("show what a recording holds", _add_info),

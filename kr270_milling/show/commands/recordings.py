@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import shlex
 import sys
-from pathlib import Path
 
 from kr270_milling.base.column import as_dict
-from kr270_milling.base.errors import InputError, one_line
-from kr270_milling.base.extensions import require_extra
+from kr270_milling.base.errors import one_line
 from kr270_milling.base.units import seconds
 from kr270_milling.recordings.bag import info as bag_info
 from kr270_milling.recordings.bag.export import export as export_files
@@ -19,7 +17,6 @@ from kr270_milling.show.commands.console import Answer, progress
 
 
 def run_info(args) -> Answer:
-
     with progress("reading") as report, Recording(args.file, report) as recording:
         damage = findings(recording, report) if args.verify else []
         about = {"file": str(recording.path)} if damage else bag_info.info(recording, report)
@@ -33,18 +30,8 @@ def run_info(args) -> Answer:
 
 def run_export(args) -> Answer:
     """Exit code 1 where a topic cannot be exported."""
-    if not args.csv and not args.parquet:
-        raise InputError("export", "give --csv DIR or --parquet DIR")
-    if args.parquet:
-        require_extra("export --parquet", "studies", "pyarrow")
-    files: list[Path] = []
-    refused: dict[str, str] = {}
     with progress("exporting") as report, Recording(args.file, report) as recording:
-        for directory, kind in ((args.csv, "csv"), (args.parquet, "parquet")):
-            if directory:
-                written = export_files(recording, directory, args.topics, report, kind)
-                files += written[0]
-                refused |= written[1]
+        files, refused = export_files(recording, args.csv, args.topics, report)
         first, last = recording.first_log_time or 0, recording.last_log_time or 0
     about = {"file": str(recording.path), "cut_off": recording.cut_off, "files": files, "refused": refused}
     for sentence in () if args.json else refused.values():
@@ -54,7 +41,6 @@ def run_export(args) -> Answer:
 
 
 def run_recover(args) -> Answer:
-
     with progress("recovering") as report:
         recovered = recover_file(args.file, args.out, report)
     if recovered.whole and args.out is None:

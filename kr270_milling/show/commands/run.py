@@ -182,13 +182,13 @@ def summary(outcome: dict) -> dict:
 
 
 METHODS = ("linear", "spline", "mirror", "learned")
-INERTIA_METHODS = (*METHODS, "inverse")
 WITH_INERTIA = "Path deviation [um], with the inertia of the moving arm"
 NEEDS = "learned and inverse need a tracker or the model: the encoders of the joints do not see the deflection"
 
 
 def run_demo(args) -> Answer:
 
+    inertia_methods = (*METHODS, "inverse")
     source = find_file("paper.yaml")
     cell = read_cell(source)
     moving = read_cell(source, ["dynamics.reference_inertia=true"])
@@ -198,14 +198,14 @@ def run_demo(args) -> Answer:
         loop = "plain loop in one process" + ("" if args.plain or other else ", since rclpy is not installed")
         with staged(args.out) as (draft, final), steps() as whole:
             passes = _plain(whole, cell, METHODS, plant_of(args, cell))
-            second = _plain(whole, moving, INERTIA_METHODS, plant_of(args, moving), ", with inertia")
+            second = _plain(whole, moving, inertia_methods, plant_of(args, moving), ", with inertia")
             whole.say("report")
             report = final(_write(draft, cell, passes, second, source, args))
         return _answer(passes, second, {"report": str(report), "out": args.out, "ran_as": loop})
     with steps() as whole:
         result = run_passes(cell, METHODS, args.out, say=whole.say)
         passes = [row.scored for row in result["passes"]]
-        second = _plain(whole, moving, INERTIA_METHODS, None, ", with inertia")
+        second = _plain(whole, moving, inertia_methods, None, ", with inertia")
         whole.say("report")
         report = _write(result["out"], cell, passes, second, source, args)
     loop = f"four ROS 2 nodes and a recorder, graph up in {result['graph_up_s']:.2f} s"

@@ -17,11 +17,11 @@ from kr270_milling.cell.models import arm_of, cut_of, cut_text_of, flat_floors, 
 from kr270_milling.cell.plant import Plant
 from kr270_milling.decide import check as decision
 from kr270_milling.decide.check_cut import residue_of
+from kr270_milling.decide.compensation import in_turn
 from kr270_milling.decide.part import FeatureRow, assess, write_part
+from kr270_milling.decide.part.assessment import judge
 from kr270_milling.decide.programs.files import kuka_frames
-from kr270_milling.decide.tolerance import judge
-from kr270_milling.decide.tools import in_turn
-from kr270_milling.path.trajectory_csv import read_csv
+from kr270_milling.path.trajectory import read_csv
 from kr270_milling.show.commands.console import Answer, joints_text, steps, title_of
 from kr270_milling.show.report.series import write_series
 

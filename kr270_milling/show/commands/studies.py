@@ -16,7 +16,7 @@ from kr270_milling.cell.cell_file import read_cell
 from kr270_milling.cell.jobs import simulate
 from kr270_milling.cell.models import arm_of, path_of
 from kr270_milling.decide.stability import FeatureLimit, feature_limits, modes_of
-from kr270_milling.path.trajectory_csv import write_csv
+from kr270_milling.path.trajectory import write_csv
 from kr270_milling.physics.motion.stability import Lobe
 from kr270_milling.recordings.bag.writer import BagWriter
 from kr270_milling.recordings.messages.cdr import TRAJECTORY
@@ -40,7 +40,6 @@ from kr270_milling.studies.maps.placements import (
 )
 from kr270_milling.studies.maps.sweep import Sweep, SweepSummary, parse_axis
 
-SHOWN = 24  #: rows of the printed table
 OTHERS = (
     "the path itself: check and --along take the engagement, feed direction and posture of each feature, so that their "
     "limits differ from the lobes"
@@ -76,7 +75,8 @@ def run_stability(args) -> Answer:
     about |= {"radial_immersion": cell.path.radial_immersion, "mode": cell.path.mode, "lobes": rows, "files": files}
     cut = engagement_text(cell.path)
     title = f"Stability lobes of {cut} (path.radial_immersion, path.mode) at the start of the path"
-    table = table_of(title, shown, rows[:: max(1, -(-len(rows) // SHOWN))])
+    # rows of the printed table
+    table = table_of(title, shown, rows[:: max(1, -(-len(rows) // 24))])
     return Answer(about, [table, summary, OTHERS, *files])
 
 
@@ -93,7 +93,6 @@ def _write_lobes(args, cell, rows: list[dict], summary: str) -> list[str]:
 
 
 STUDIES = ("pyarrow", "dask", "distributed")  #: Dask with --scheduler only
-READ = "in Python: pyarrow.parquet.read_table({!r}).to_pandas()"
 TURNED_RECORDING, TURNED_TABLE, TURNED_CELL = "along", "along.csv", "along.yaml"
 
 
@@ -219,6 +218,7 @@ def _write(out: Path, source: Path, settings, cell, run, q, path) -> list[Path]:
 
 def run_sweep(args) -> Answer:
     """Full passes with other values of any keys, scores to Parquet."""
+    read = "in Python: pyarrow.parquet.read_table({!r}).to_pandas()"
     require_extra("sweep", "studies", *STUDIES[: 3 if args.scheduler else 1])
 
     if args.latin != (args.samples is not None):
@@ -250,7 +250,7 @@ def run_sweep(args) -> Answer:
     for table in study.tables(rows.chunks):
         summary.add(table)
     sentence = f"{len(rows)} rows, {summary.failed} failed (column error), in {seconds:.1f} s: {args.out}"
-    picture = shown_path(write_sweep(args.out, summary, [sentence, READ.format(args.out)], args.self_contained))
+    picture = shown_path(write_sweep(args.out, summary, [sentence, read.format(args.out)], args.self_contained))
     result = {
         "rows": len(rows),
         "failed": summary.failed,
@@ -260,4 +260,4 @@ def run_sweep(args) -> Answer:
         "out": args.out,
         "wall_s": seconds,
     }
-    return Answer(result, [*sweep_tables(summary), sentence, READ.format(args.out), picture])
+    return Answer(result, [*sweep_tables(summary), sentence, read.format(args.out), picture])

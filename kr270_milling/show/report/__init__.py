@@ -18,14 +18,13 @@ from kr270_milling.cell.models import arm_of, path_of
 from kr270_milling.decide.check import Checked, check
 from kr270_milling.decide.decision import Decision, decided
 from kr270_milling.decide.part import PartAssessment, assess_all
-from kr270_milling.decide.tolerance import Judgement, judge
+from kr270_milling.decide.part.assessment import Judgement, judge
 from kr270_milling.show.report import page
 from kr270_milling.show.report import tables as texts
-from kr270_milling.show.report.decision_block import cut_text, finding_rows, limit_bars, tiles
 from kr270_milling.show.report.linked import linked, part_surface, robot_model
 from kr270_milling.show.report.series import write_series
 from kr270_milling.show.report.straight_cut import charts_of
-from kr270_milling.show.report.tables import assumptions
+from kr270_milling.show.report.tables import assumptions, cut_text, finding_rows, limit_bars, tiles
 
 __all__ = ["report_text", "write_report", "write_report_page", "write_series"]
 
@@ -41,7 +40,6 @@ def write_report_page(directory, text: str) -> Path:
     The file appears whole or not at all. Raises InputError where it cannot be written.
     """
     path = Path(directory) / "report.html"
-    path.parent.mkdir(parents=True, exist_ok=True)
     write_files({path: (text,)})
     return path
 
@@ -100,7 +98,8 @@ def report_text(
     }
     return page.page_text(
         "report",
-        page.REPORT_SCRIPTS,
+        # in the order in which the page runs them
+        ("base", "place", "maps", "series", "zoom", "source", "part", "robot", "charts", "start"),
         title=title,
         cell=cell,
         path=path,

@@ -18,8 +18,7 @@ from kr270_milling.decide.part import PartAssessment
 from kr270_milling.path.trajectory import Trajectory
 from kr270_milling.physics.compensation.settings import CompensationSettings
 from kr270_milling.physics.cutting import Stock
-from kr270_milling.physics.robot.urdf import COLOURS, urdf
-from kr270_milling.physics.robot.urdf_links import links_of
+from kr270_milling.physics.robot.urdf import COLOURS, links_of, urdf
 from kr270_milling.show.report.charts import envelope_index, stations
 
 

@@ -11,8 +11,7 @@ import numpy as np
 from kr270_milling.base.files import write_files
 from kr270_milling.cell.arm import PlacedArm
 from kr270_milling.cell.jobs import ScoredPass
-from kr270_milling.path.trajectory import Trajectory
-from kr270_milling.path.trajectory_csv import write_csv
+from kr270_milling.path.trajectory import Trajectory, write_csv
 from kr270_milling.physics.motion.milling_pass import PassResult
 from kr270_milling.physics.motion.scores import path_deviation
 
@@ -42,7 +41,6 @@ def write_series(directory, arm: PlacedArm, target: Trajectory, passes: Sequence
     Returns the paths, first those of the series. Each file appears whole or not at all.
     """
     place = Path(directory)
-    place.mkdir(parents=True, exist_ok=True)
     series, references = [], []
     for stem, scored in zip(file_names([p.name for p in passes]), passes, strict=True):
         series.append(place / f"{stem}.csv")

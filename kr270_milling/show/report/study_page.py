@@ -17,12 +17,11 @@ from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.models import path_of
 from kr270_milling.cell.paths import CellPath
 from kr270_milling.decide.arcs import arcs_along
+from kr270_milling.decide.compensation import DecisionOnTools
 from kr270_milling.decide.stability import modes_of
-from kr270_milling.decide.tools import DecisionOnTools
 from kr270_milling.physics.robot import Arm
 from kr270_milling.show.report import page
-from kr270_milling.show.report.decision_block import TONES, cut_text
-from kr270_milling.show.report.tables import micro, typographic
+from kr270_milling.show.report.tables import TONES, cut_text, micro, typographic
 from kr270_milling.studies.maps.lobes import engagement_text
 from kr270_milling.studies.maps.placements import MAPPED, PlacementRow, Summary
 from kr270_milling.studies.maps.sweep import SweepSummary
@@ -170,16 +169,6 @@ def _deepest(cell: Cell) -> float:
     return float(arcs_along(path_of(cell), cell.earlier).depth.max(initial=0.0))
 
 
-NOTE = (
-    "each field shows the z, the turns and the branch with the least error there; in an empty field the path is out of "
-    "reach or beyond the joint limits"
-)
-TABLE_NOTE = (
-    "x, y, z: origin of the workpiece on base_link. Error: the largest static one across the feed on the path. After "
-    "compensation: one standard deviation of what the uncertainty of the cell leaves. Gain: against the present place."
-)
-
-
 def gain_text(summary: Summary, present: dict) -> str:
     """State the error of the present placement and of the best placement in a sentence."""
     if not summary.best:
@@ -211,6 +200,15 @@ def write_map(
 
     name: of the cell file; present: row of `present_row`; self_contained: as of ``write_page``.
     """
+    table_note = (
+        "x, y, z: origin of the workpiece on base_link. Error: the largest static one across the feed on the path. "
+        "After compensation: one standard deviation of what the uncertainty of the cell leaves. Gain: against the "
+        "present place."
+    )
+    note = (
+        "each field shows the z, the turns and the branch with the least error there; in an empty field the path is "
+        "out of reach or beyond the joint limits"
+    )
     star = dict(symbol="star", size=14, color=COLOURS[1], line=dict(color="white", width=1))
     diamond = dict(symbol="diamond", size=12, color="white", line=dict(color="black", width=2))
     marks = {"best placements": (summary.best, star), "the part now": ([present], diamond)}
@@ -228,9 +226,9 @@ def write_map(
         row["gain"] = _gain(row, present) if known and row["feasible"] else float("nan")
     shown = [(column.heading(short=not column.title), column.key, column.text) for column in columns(PlacementRow)]
     table = table_of(
-        "Placements", [("", "place", str), *shown, ("gain [%]", "gain", lambda v: fixed(v, 1))], rows, TABLE_NOTE
+        "Placements", [("", "place", str), *shown, ("gain [%]", "gain", lambda v: fixed(v, 1))], rows, table_note
     )
-    sentences = [f"{name}: {arm.name} mills {cut_text(path)}", gain_text(summary, present), NOTE]
+    sentences = [f"{name}: {arm.name} mills {cut_text(path)}", gain_text(summary, present), note]
     title = f"Where to clamp {path.path.file_name or 'the part'}"
     return write_page(Path(folder) / "map.html", title, sentences, [table], figures, self_contained=self_contained)
 

@@ -17,7 +17,7 @@ import numpy as np
 from scipy import stats
 
 from kr270_milling.base.errors import InputError, MillingError
-from kr270_milling.physics.cutting.materials import materials
+from kr270_milling.physics.cutting.laws import materials
 from kr270_milling.physics.robot.kinematics import forward
 from kr270_milling.studies.identification.compliance import TILTS, Fit, Measurements, Problem, fit_compliance
 from kr270_milling.studies.identification.forces import FIRST, CutMeasurements, LawFit, contradicting_cut, fit_forces
@@ -27,7 +27,6 @@ from kr270_milling.studies.identification.signals import AXES
 #: factor on the arm file beyond which a unit is suspected: the published sets of one robot differ by 2.2
 UNLIKELY = 3.0
 NEAR = 1.5  #: factor within which a known factor explains what is seen
-ALIKE = 1.25  #: factor around that of pounds; Table 1 beside the set of 2013 differs by 1.1 to 2.2 from joint to joint
 EDGE = 2.0  #: factor beyond the published ratios of coefficients from which the table is suspected
 FALLS = 0.4  #: residuals fall to this share under a hypothesis that is named
 LEFT_OUT = 1e-6  #: weight of a row of a robust fit that is named
@@ -92,6 +91,8 @@ def _size(problem: Problem) -> tuple[float, str]:
 
 def compliance_doubts(fit: Fit) -> list[Doubt]:
     """Doubts about load tests."""
+    # factor around that of pounds; Table 1 beside the set of 2013 differs by 1.1 to 2.2 from joint to joint
+    alike = 1.25
     if not fit.free[:6].any():
         return [Doubt("nothing is identified", True)]
     published = 0.05e-6, 10e-6  # [rad/(N m)] of a joint of a heavy arm, published
@@ -101,7 +102,7 @@ def compliance_doubts(fit: Fit) -> list[Doubt]:
     if not 1 / UNLIKELY < factor < UNLIKELY:
         doubts.append(Doubt(f"{size}: is a unit wrong, or the arm file that of another arm?"))
     pounds = 0.453592  # factor on compliances, of masses in pounds in the column of kg
-    if 1 / ALIKE < factor / pounds < ALIKE and not measured.wrench[:, [0, 1, 3, 4, 5]].any():
+    if 1 / alike < factor / pounds < alike and not measured.wrench[:, [0, 1, 3, 4, 5]].any():
         doubts.append(Doubt(f"{size}: masses in pounds in the column of kg?"))
     if outside.any():
         names = ", ".join(str(k + 1) for k in np.flatnonzero(outside))

@@ -44,7 +44,6 @@ READINGS = {
     "is in inches": 25.4e3,
     "is in thousandths of an inch": 25.4,
 }
-KNOWN = 0.8  #: deviation of an unknown after and before, above which the places do not show it
 RANGE = (-3.0, 3.0)  #: range of the numbers behind a robot, which has 99.7 % of them
 #: robots of each round, and the weight of what is expected of the slopes, in robots: at first that there are none
 ROUNDS = ((64, 1.0), (48, 20.0))
@@ -65,7 +64,8 @@ class Learned:
     @property
     def identified(self) -> list[dict]:
         """Rows of the unknowns that the places show, the best first."""
-        rows = [row for row in self.rows if row["sigma"] < KNOWN * row["sigma_before"]]
+        # deviation of an unknown after and before, above which the places do not show it
+        rows = [row for row in self.rows if row["sigma"] < 0.8 * row["sigma_before"]]
         return sorted(rows, key=lambda row: row["sigma"] / row["sigma_before"])
 
     def lines(self) -> list[str]:

@@ -36,7 +36,6 @@ from kr270_milling.path.trajectory import Trajectory
 from kr270_milling.physics.robot import compliance, equilibrium, rotate_matrix
 from kr270_milling.studies.identification.signals import AXES, Signals
 
-CLEAR = 8.0  #: standard deviations; a pole that follows noise reaches about 4
 POWER = {"displacement": 0, "velocity": 1, "acceleration": 2}
 
 
@@ -88,6 +87,7 @@ def split_modes(signals: Signals, low: float, high: float, most: int = 6) -> tup
 
     Raises ModelError where there is no mode.
     """
+    visible = 8.0  # standard deviations; a pole that follows noise reaches about 4
     data = signals.values - signals.values[-max(1, len(signals.values) // 10) :].mean(0)
     if signals.force is not None:
         data = impulse_response(signals, signals.force)
@@ -105,7 +105,7 @@ def split_modes(signals: Signals, low: float, high: float, most: int = 6) -> tup
         reason = f"nothing rings between {low:g} and {high:g} Hz with a damping ratio below {most_damped}"
         raise ModelError(reason)
     faint_share = 0.02  # share of the strongest mode's energy below which a mode must exceed the noise by CLEAR
-    strong = shown & ((energy > faint_share * energy[shown].max()) | (clear > CLEAR))
+    strong = shown & ((energy > faint_share * energy[shown].max()) | (clear > visible))
     order = np.flatnonzero(strong)[np.argsort(frequency[strong])][:most]
     faint = [k for k in np.flatnonzero(shown)[np.argsort(frequency[shown])] if k not in order]
     total = float(energy[shown].sum())

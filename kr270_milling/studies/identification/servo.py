@@ -22,8 +22,6 @@ from kr270_milling.studies.identification.doubts import Doubt
 from kr270_milling.studies.identification.intervals import half_interval
 from kr270_milling.studies.identification.signals import even_stamps, pose_series, read_topic, resampled
 
-PAIRS = (("commanded_mm", "measured_mm"), ("commanded_deg", "measured_deg"))
-LINEAR = 3  #: numbers that are eliminated: a, b, g
 FINE = 0.5e-3  #: [s], longest step of the integration; samples are farther apart
 
 
@@ -84,10 +82,11 @@ def moved_along(
 
 def read_move(path) -> Move:
     """A CSV table with time_s and a pair of PAIRS, or a recording of the command ``rsi``; raises InputError."""
+    pairs = (("commanded_mm", "measured_mm"), ("commanded_deg", "measured_deg"))
     if not str(path).lower().endswith(".csv"):
         return _recorded_move(path)
-    table = read_table(path, ("time_s", *(name for pair in PAIRS for name in pair), "note"), ("time_s",))
-    pair = next((pair for pair in PAIRS if pair[0] in table and pair[1] in table), None)
+    table = read_table(path, ("time_s", *(name for pair in pairs for name in pair), "note"), ("time_s",))
+    pair = next((pair for pair in pairs if pair[0] in table and pair[1] in table), None)
     if pair is None:
         raise InputError(path, "needs the columns commanded_mm and measured_mm, or commanded_deg and measured_deg", 1)
     time, step, note = even_stamps(path, table.number("time_s"), table.lines)
@@ -187,7 +186,8 @@ def fit_servo(move: Move, damping: float | None = None) -> Servo:
     ]
     columns = np.column_stack(slopes)
     columns -= np.outer(explained, explained @ columns) / max(float(explained @ explained), 1e-300)  # of the scale
-    freedom = len(left) - LINEAR - columns.shape[1]
+    # numbers that are eliminated: a, b, g
+    freedom = len(left) - 3 - columns.shape[1]
     length = np.linalg.norm(columns, axis=0)
     inverse = np.linalg.pinv((columns / length).T @ (columns / length))
     variance = float(left @ left) / freedom * _correlation(left) + 1e-24 * size**2

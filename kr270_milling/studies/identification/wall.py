@@ -16,8 +16,7 @@ from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import at_once
 from kr270_milling.cell.models import path_of
 from kr270_milling.cell.plant import Plant, coarser, perturbed
-from kr270_milling.decide.part.stations import stations_of
-from kr270_milling.decide.part.surface import ideal_part, remaining_walls, tooth_tips
+from kr270_milling.decide.part.surface import ideal_part, neighbours, remaining_walls, stations_of, tooth_tips
 from kr270_milling.path.trajectory import Trajectory
 from kr270_milling.physics.motion.milling_pass import PassResult
 from kr270_milling.studies.identification.comparison import LinearFit, line_through
@@ -25,7 +24,6 @@ from kr270_milling.studies.identification.comparison import LinearFit, line_thro
 PLACE = ("x_mm", "y_mm")
 COLUMNS = (*PLACE, "z_mm", "error_um", "sigma_um", "surface", "note")
 FEWEST = 3  #: places for a gain and an offset
-PLANTS = 16
 BAND = (0.05, 0.95)
 
 
@@ -97,8 +95,12 @@ class PredictedPlaces:
             self.normal[k] = (0.0, 0.0, 1.0) if measured.floor[k] else (*-staying["normal"][near].mean(axis=0), 0.0)
         on_walls = [near for near, floor in zip(self._near, measured.floor, strict=True) if not floor]
         used = np.unique(np.concatenate([np.zeros(0, int), *on_walls]))
+        ideal, near = self._ideal, self._ideal.staying[used]
         self._used = dataclasses.replace(
-            self._ideal, staying=self._ideal.staying[used], wall_height=self._ideal.wall_height[used]
+            ideal,
+            staying=near,
+            wall_height=ideal.wall_height[used],
+            near=neighbours(ideal.marks, near, 2.0 * ideal.level),
         )
         self._near = [
             n if floor else np.searchsorted(used, n) for n, floor in zip(self._near, measured.floor, strict=True)
@@ -145,7 +147,7 @@ class PredictedPlaces:
 
 
 def compare_wall(
-    cell: Cell, measured: WallPlaces, reference: Trajectory | None = None, plants: int = PLANTS,
+    cell: Cell, measured: WallPlaces, reference: Trajectory | None = None, plants: int = 16,
     progress: Callable[[int, int], None] = lambda *_: None,
 ) -> WallComparison:  # fmt: skip
     """Predict the wall of a pass along ``reference`` (default: the target) by the model and by drawn plants.

@@ -30,6 +30,7 @@ from kr270_milling.decide.programs import points
 from kr270_milling.decide.programs.files import (
     offsets,
     program_bytes,
+    rsi_address,
     time_law,
     write_joint_table,
     write_programs,
@@ -38,11 +39,10 @@ from kr270_milling.decide.programs.files import (
 from kr270_milling.decide.programs.krl import Setup, trajectory_hash, write_krl
 from kr270_milling.decide.programs.krl_motion import knot_notes
 from kr270_milling.decide.programs.points import point_numbers, program_points
-from kr270_milling.decide.programs.rsi_context import rsi_address
 from kr270_milling.decide.programs.written import read_krl, softer_pass, written_pass, written_trajectory
 from kr270_milling.live.rsi.telegram import Elements, read_elements
 from kr270_milling.path.cam.gcode.reader import read_gcode
-from kr270_milling.path.cam.krl.reader import read_krl_program
+from kr270_milling.path.cam.krl import read_krl_program
 from kr270_milling.path.controller_motion import block_ends, controller_motion, places_on_program
 from kr270_milling.path.timing import Timing, time_path
 from kr270_milling.path.trajectory import TOOL_DOWN, Trajectory, TrajectoryError
@@ -235,8 +235,6 @@ def test_a_text_that_would_break_the_head_a_pair_that_does_not_fit_and_too_many_
             write(tmp_path, Program(), *swaying(20), source_hash=text)
     with pytest.raises(TrajectoryError):
         write(tmp_path, Program(), swaying(20)[0], swaying(21)[1])
-    with pytest.raises(InputError):
-        write(tmp_path / "none" / "none", Program(), *swaying(20))
     with pytest.raises(TrajectoryError, match="raise program.line_limit"):
         write(tmp_path, Program(motion="LIN", line_limit=100), *swaying(4000))
     assert not list(tmp_path.iterdir())

@@ -14,7 +14,7 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from kr270_milling.base.parameter_file import find_file
 from kr270_milling.cell.models import arm_of
-from kr270_milling.live.nodes.start import CLASSES
+from kr270_milling.live.nodes.__main__ import CLASSES
 from kr270_milling.live.ros import topics
 from kr270_milling.live.ros.node import stamp_from_ns
 from kr270_milling.physics.robot.kinematics import forward, jacobian

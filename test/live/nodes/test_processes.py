@@ -18,7 +18,7 @@ pytest.importorskip("rclpy")
 from kr270_milling.base.arguments import STOPS
 from kr270_milling.exchange.replay.recompute import recompute
 from kr270_milling.live.graph import Child
-from kr270_milling.live.nodes.start import NODES, start
+from kr270_milling.live.nodes.__main__ import NODES, start
 from kr270_milling.live.ros import spin
 from kr270_milling.live.ros.environment import PARENT
 from kr270_milling.live.ros.node import ReportingNode

@@ -20,8 +20,8 @@ from kr270_milling.cli import main
 from kr270_milling.decide.verdict import monte_carlo
 from kr270_milling.path.trajectory import Trajectory
 from kr270_milling.physics.compensation.compensator import Compensator, noise_floor, remaining_error
+from kr270_milling.physics.compensation.learning import CellModels
 from kr270_milling.physics.compensation.method import Correction
-from kr270_milling.physics.compensation.models import CellModels
 from kr270_milling.physics.compensation.revision import PassRecord, sampled_correction
 from kr270_milling.physics.compensation.settings import CompensationSettings
 

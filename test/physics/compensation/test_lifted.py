@@ -15,12 +15,12 @@ from kr270_milling import read_cell
 from kr270_milling.cell.jobs import arm_response, simulate
 from kr270_milling.cell.models import path_of
 from kr270_milling.path.trajectory import Trajectory
-from kr270_milling.physics.compensation import arm_fit, ensemble, response
-from kr270_milling.physics.compensation.arm_fit import Evidence, fit_arm
+from kr270_milling.physics.compensation import ensemble, learning, response
 from kr270_milling.physics.compensation.ensemble import Ensemble, least_mean_square
+from kr270_milling.physics.compensation.learning import Evidence, fit_arm
 from kr270_milling.physics.compensation.lifted import KnotConditions, Lifted, knots
-from kr270_milling.physics.compensation.limiting import Limited
 from kr270_milling.physics.compensation.response import ArmResponse, Lag, Segments, cubic_coefficients
+from kr270_milling.physics.compensation.revision import Limited
 
 OMEGA, ZETA = 42.0, 0.04
 KNOTS = np.cumsum([0, 50, 50, 30, 70, 50, 50, 20, 80, 50, 50, 50, 50]) * 1_000_000  # unevenly spaced
@@ -112,7 +112,7 @@ def test_the_least_mean_square_over_robots_has_no_slope_in_any_direction_that_th
     least = cost(best)
     assert least < 0.8 * cost(np.zeros_like(best))
     for _ in range(8):
-        way = lifted.least_squares(rng.normal(0.0, 20e-6, (m, 16, 3)), weight, 1e-3).cubic
+        way = lifted.least_squares(rng.normal(0.0, 20e-6, (m, 16, 3)), weight, 1e-3)[0]
         ahead, behind = cost(best + way) - least, cost(best - way) - least
         assert min(ahead, behind) > 0.0 and abs(ahead - behind) < 1e-3 * (ahead + behind)
 
@@ -253,18 +253,18 @@ def spline_numbers(number):
 @pytest.mark.parametrize("smooth", [True, False])
 def test_dynamic_programming_finds_the_dense_least_squares(smooth):
     arm = one_mode()
-    obtained = Lifted(arm, EIGHTH, course(smooth)).least_squares(DEVIATION, WEIGHTS, SMOOTH)
+    cubic, _ = Lifted(arm, EIGHTH, course(smooth)).least_squares(DEVIATION, WEIGHTS, SMOOTH)
     expected = dense(arm, smooth)
     scale = np.abs(expected).max(axis=0)[: 4 if smooth else 2]
-    difference = np.abs(obtained.cubic[:, :, 1] - expected)[:, : scale.size]
+    difference = np.abs(cubic[:, :, 1] - expected)[:, : scale.size]
     assert np.all(difference.max(axis=0) < 1e-5 * scale)
 
 
 def test_the_correction_is_c2_between_stops_rests_in_them_and_by_min_max_has_even_peaks():
     lifted = Lifted(one_mode(), EIGHTH, course(True, (0, 5, 8, 9), (8,)))
-    obtained = lifted.least_squares(DEVIATION, WEIGHTS, SMOOTH)
+    cubic, _ = lifted.least_squares(DEVIATION, WEIGHTS, SMOOTH)
     t = EIGHTH.duration[:, None]
-    c, v, a, j = np.swapaxes(obtained.cubic, 0, 1)
+    c, v, a, j = np.swapaxes(cubic, 0, 1)
     ends = c + v * t + a * t**2 / 2 + j * t**3 / 6, v + a * t + j * t**2 / 2, a + j * t
     for end, start, size in zip(ends, (c, v, a), (1e-5, 1e-3, 1e-1), strict=True):
         jump = np.abs(end[:-1] - start[1:]).max(axis=1)
@@ -272,12 +272,12 @@ def test_the_correction_is_c2_between_stops_rests_in_them_and_by_min_max_has_eve
         assert size == 1e-1 or jump.max() < 1e-8 * size
     for knot in (5, 8, 9):
         assert np.abs(v[knot]).max() < 1e-12 and np.abs(ends[1][knot - 1]).max() < 1e-12
-    assert not obtained.cubic[8, 1:].any() and np.abs(v[0]).max() == 0.0
+    assert not cubic[8, 1:].any() and np.abs(v[0]).max() == 0.0
     assert np.abs(ends[2][4] - a[5]).max() > 1e-3  # a separate bend after a stop
     scored = EIGHTH.middle_ns >= 150_000_000
     lifted = Lifted(one_mode(), EIGHTH, course())
     both = lifted.least_squares(DEVIATION, WEIGHTS, 1e-9), lifted.min_max(DEVIATION, WEIGHTS, 1e-9, scored)
-    plain, even = (np.abs(obtained.left[..., 1][scored]) for obtained in both)
+    plain, even = (np.abs(left[..., 1][scored]) for _, left in both)
     assert even.max() < 0.9 * plain.max() and even.std() / even.max() < plain.std() / plain.max() + 0.1
 
 
@@ -299,7 +299,7 @@ LONG_PATH = np.zeros((MANY, 4, 3))
 
 def test_pieces_of_a_long_path_identify_the_arm_and_it_costs_in_proportion_to_its_length():
     # a hundred seconds of random wrenches; the pieces have 4096 of the 9000 segments
-    assert MANY > arm_fit.MOST_FITTED
+    assert MANY > learning.MOST_FITTED
     true = LONG_ARM.scaled(1.1, 0.8, 1.0, 1.15)
     wrench = np.random.default_rng(3).normal(0.0, 0.1, (MANY, 4, 6))
     passes = (Evidence(LONG_PATH, true.deflect(LONG, wrench), wrench),)
@@ -333,7 +333,7 @@ def test_blocks_of_segments_are_one_path(monkeypatch):
         solved = []
         for smooth in (True, False):
             conditions = KnotConditions(smooth, np.arange(91) % 40 == 0, np.zeros(90, bool))
-            solved += vars(Lifted(arm, segments, conditions).least_squares(deviation, weight, 1e-6)).values()
+            solved += Lifted(arm, segments, conditions).least_squares(deviation, weight, 1e-6)
         return [arm.deflect(segments, wrench), arm.swing(segments, cubic, np.ones(3)), *solved]
 
     at_once = results()

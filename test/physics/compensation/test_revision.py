@@ -14,12 +14,19 @@ from kr270_milling.cell.arm import mirrored
 from kr270_milling.cell.jobs import compensated, compensator, record_of, simulate
 from kr270_milling.cell.models import arm_of, path_of
 from kr270_milling.cli import main
-from kr270_milling.decide.path_limits import correction_per_tick, correction_size
+from kr270_milling.decide.check_arm import correction_per_tick, correction_size
 from kr270_milling.path.trajectory import TOOL_DOWN, Trajectory
 from kr270_milling.physics.compensation.compensator import Compensator, remaining_error
-from kr270_milling.physics.compensation.limiting import UNBOUNDED, Bounds
-from kr270_milling.physics.compensation.mirror import LEVER, loaded_pose, mirror
-from kr270_milling.physics.compensation.revision import PassRecord, corrected, sampled_correction
+from kr270_milling.physics.compensation.revision import (
+    LEVER,
+    UNBOUNDED,
+    Bounds,
+    PassRecord,
+    corrected,
+    loaded_pose,
+    mirror,
+    sampled_correction,
+)
 from kr270_milling.physics.compensation.settings import CompensationSettings
 from kr270_milling.physics.robot import Mount, equilibrium, pose
 

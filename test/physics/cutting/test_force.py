@@ -13,7 +13,7 @@ from samples.cuttings import ALUMINIUM, KLIMCHIK2014, LAWS, PAPER_LAW, convergen
 from kr270_milling.base.errors import ConfigError, ParameterError
 from kr270_milling.base.record import build, flatten
 from kr270_milling.physics.cutting import AL7075_T6, Cut, Cutting, Stock, Tool, fractional
-from kr270_milling.physics.cutting.linear_edge import LinearEdgeLaw
+from kr270_milling.physics.cutting.laws import LinearEdgeLaw
 
 FEED, DEPTH = 0.125e-3, 1e-3  # [m] a tooth, [m]
 PAPER = Tool(diameter=20e-3, teeth=4, spindle_speed=8000 * 2 * np.pi / 60)

@@ -29,7 +29,7 @@ from scipy.spatial.transform import Rotation
 from kr270_milling.physics.cutting import EngagementCut, Stock
 
 ALONG = {"lead 15": (15.0, 0.0), "lead 45": (45.0, 0.0), "lean 15": (0.0, 15.0), "lean 45": (0.0, 45.0)}
-CASES = list(itertools.product(TOOLS, ALONG))
+CASES = list(itertools.product(("flat", "ball", "bull", "taper"), ALONG))
 CUTS = [("slot", 1.0), ("up", 0.7), ("down", 0.7), ("up", 0.3), ("down", 0.3)]
 
 
@@ -108,7 +108,7 @@ def test_an_upright_axis_gives_every_bit_of_a_cut_without_an_axis():
         np.testing.assert_array_equal(plain, with_axis)
 
 
-@pytest.mark.parametrize("name", TOOLS)
+@pytest.mark.parametrize("name", ["flat", "ball", "bull", "taper"])
 def test_a_part_that_is_turned_with_its_tool_has_the_forces_of_the_same_cut_in_the_frame_of_the_tool(name):
     """A slot into a level top and one into a top that is turned by 20 deg about the feed: an invariant."""
     (force, torque), _ = measured(TOOLS[name], CUTTINGS["edge"], (0.0, 0.0), (-9e-3, 9e-3), depth=1e-3)

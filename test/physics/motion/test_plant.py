@@ -11,9 +11,9 @@ from kr270_milling.base.errors import ConfigError
 from kr270_milling.cell.jobs import ScoredPass, compensated, simulate
 from kr270_milling.cell.models import arm_model_of, arm_of, path_of
 from kr270_milling.cell.plant import Plant, imperfect_arm, joint_gaps
+from kr270_milling.decide.check_arm import backlash_statement, load_reversals
 from kr270_milling.decide.compensation import compensate
 from kr270_milling.decide.findings import gathered
-from kr270_milling.decide.load_reversals import backlash_statement, load_reversals
 from kr270_milling.path.controller_motion import other_motion
 from kr270_milling.path.trajectory import TOOL_DOWN, Trajectory
 from kr270_milling.physics.motion.backlash import Gaps, flanks, tool_jumps

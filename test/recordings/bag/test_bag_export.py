@@ -39,10 +39,10 @@ def rows(file) -> list[dict]:
         return list(csv.DictReader(stream))
 
 
-def exported(recording, directory, *topics: str, kind: str = "csv") -> list:
+def exported(recording, directory, *topics: str) -> list:
     """The files of the chosen topics, or of all."""
     with Recording(recording) as opened:
-        return export(opened, directory, topics or None, kind=kind)[0]
+        return export(opened, directory, topics or None)[0]
 
 
 def summary(recording) -> dict:
@@ -128,12 +128,8 @@ def test_a_topic_that_cannot_be_decoded_is_named_and_the_others_are_written(tmp_
     assert "text.csv" in printed.out and printed.err.count("not exported: ") == 2
 
 
-def test_parquet_has_the_columns_of_the_topic_and_an_unknown_topic_is_named(tmp_path):
-    parquet = pytest.importorskip("pyarrow.parquet")
+def test_an_unknown_topic_is_named(tmp_path):
     record(tmp_path / "a", 5)
-    (file,) = exported(tmp_path / "a", tmp_path / "parquet", "/tool_pose", kind="parquet")
-    assert file.name == "tool_pose.parquet"
-    assert parquet.read_table(file)["position_y_m"].to_pylist() == [step + 0.1 for step in range(5)]
     with pytest.raises(RecordingError, match="has no topic /wrnch"):
         exported(tmp_path / "a", tmp_path / "csv", "/wrnch")
 
@@ -148,20 +144,6 @@ def test_nothing_stays_where_the_disk_is_full(tmp_path, steps):
     with samples.full_disk(4096), pytest.raises(RecordingError, match="the tables cannot be written"):
         exported(tmp_path / "a", tmp_path / "csv")
     assert list((tmp_path / "csv").iterdir()) == []
-
-
-def test_large_messages_of_any_type_are_not_gathered_by_the_thousand(tmp_path):
-    """Each becomes a text of five times its size ("100, ")."""
-    size, count = 100_000, 25
-    about = make("nav_msgs/msg/MapMetaData", samples.time(0), 1e-5, size, 1, pose(0, [0, 0, 0, 0, 0, 0, 1]).pose)
-    data = raw(make(samples.GRID, header(0), about, np.full(size, 100, np.int8)))
-    with BagWriter(tmp_path / "a") as writer:
-        writer.add_topic("/workpiece", samples.GRID)
-        for _ in range(count):
-            writer.write("/workpiece", data, 0)
-    with Recording(tmp_path / "a") as recording:
-        actual = [len(table) for table in module._tables(row for _, row in module.rows(recording, "/workpiece"))]
-    assert sum(actual) == count and 1 < max(actual) < 10  # 1 MB of text
 
 
 def test_info_counts_what_was_written(tmp_path):

@@ -18,7 +18,6 @@ from kr270_milling.cell.cell_file import read_cell
 from kr270_milling.cell.jobs import simulate
 from kr270_milling.cell.keys import keys_of
 from kr270_milling.cell.models import arm_model_of, path_of, thin_chips
-from kr270_milling.path.trajectory_csv import read_csv
 from kr270_milling.recordings.bag.writer import BagWriter
 from kr270_milling.recordings.messages.codec import to_bytes
 from kr270_milling.show.commands.reports import unique_names
@@ -243,7 +242,6 @@ def test_a_cut_off_recording_is_counted_exported_and_recovered(whole, tmp_path):
     assert answered("info", file)["cut_off"] is True and "cut off" in ask("info", str(file)).out
     words = ("export", str(file), "--csv", str(tmp_path / "t"), "--topics", "/wrench")
     assert answered(*words)["files"] == [str(tmp_path / "t" / "wrench.csv")] and "was cut off" in ask(*words).out
-    assert "give --csv DIR or --parquet DIR" in refused("export", str(file))
     result = answered("recover", file, "--out", saved)
     assert not result["whole"] and result["messages"] > 100 and answered("info", saved)["cut_off"] is False
     assert answered("replay", saved, "--recompute")["verdict"] == "identical"
@@ -262,16 +260,6 @@ def test_recompute_ends_with_0_when_identical_and_1_when_not_or_when_it_cannot_c
     assert (result["topic"], result["index"], result["stamp_ns"]) == ("/wrench", 60, 30_000_000)
     answer = ask("replay", recomputed(40, lambda data: None), "--recompute")
     assert answer.code == 1 and "cannot continue at 0.020000 s" in answer.out
-
-
-def test_replay_compensates_to_the_trajectory_that_was_published(whole, tmp_path):
-    words = ("replay", whole, "--compensate", "--out", str(tmp_path / "t"))
-    result = answered(*words)["robots"][0]
-    reference, joints = read_csv(result["csv"])
-    published = [m.data for m in made.one_pass() if m.topic == "reference_trajectory"][1]
-    assert result["identical_to_published"] is True and joints.shape == (len(reference), 6)
-    assert to_bytes(reference)[12:] == published[12:]
-    assert "identical to what the node published" in ask(*words).out
 
 
 # --- The command report: which recordings it takes and where it writes ---
@@ -345,7 +333,6 @@ def test_a_recording_of_remapped_topics_is_used_with_their_names(remapped, tmp_p
     rule = ("--remap", rule)
     result = answered("replay", remapped, "--recompute", *rule)
     assert result["verdict"] == "identical" and result["channels"]["/left/wrench"]["compared"] == made.STEPS
-    assert answered("replay", remapped, "--compensate", "--out", tmp_path, *rule)["robots"]
     (ran,) = answered("report", remapped, "--out", tmp_path, *rule)["passes"]
     assert ran["complete"] and not ran["messages_lost"]
     (tmp_path / "cell.yaml").write_text(made.cell_text())

@@ -8,8 +8,8 @@ import pytest
 from browser import Visit
 
 from kr270_milling.base.frames import Pose
-from kr270_milling.decide.limits import Limit
-from kr270_milling.decide.tolerance import judge
+from kr270_milling.decide.decision import Limit
+from kr270_milling.decide.part.assessment import judge
 from kr270_milling.show.report import judged, write_report
 from kr270_milling.show.report.study_page import points, write_page
 

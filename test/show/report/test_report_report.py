@@ -23,7 +23,7 @@ from kr270_milling.cell.jobs import ScoredPass, simulate
 from kr270_milling.cell.models import arm_of, cut_of, path_of
 from kr270_milling.decide.findings import Finding, Place
 from kr270_milling.decide.part import assess_all
-from kr270_milling.path.trajectory_csv import read_csv
+from kr270_milling.path.trajectory import read_csv
 from kr270_milling.show.report import write_report
 from kr270_milling.show.report.charts import amplitude_spectrum, envelope_index, thinned_spectrum
 from kr270_milling.show.report.linked import linked, part_surface

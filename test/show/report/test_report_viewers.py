@@ -18,8 +18,7 @@ from kr270_milling.cell.models import arm_of, path_of
 from kr270_milling.decide.part import FeatureRow
 from kr270_milling.exchange.scene import OUTPUTS
 from kr270_milling.physics.motion.scores import Scores
-from kr270_milling.physics.robot.urdf import urdf
-from kr270_milling.physics.robot.urdf_links import links_of
+from kr270_milling.physics.robot.urdf import links_of, urdf
 from kr270_milling.recordings.messages.topics import TOPICS
 from kr270_milling.show.report.linked import robot_model
 

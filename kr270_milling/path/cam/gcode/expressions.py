@@ -12,7 +12,6 @@ import re
 from collections.abc import Callable
 
 NEAR = 1e-4  #: two numbers are equal, and a number is an integer, within this distance: LinuxCNC
-MOST_NESTED = 100  #: brackets in brackets; assumed
 MOST_VALUE = 1e12  #: a larger number cannot be meant; assumed
 
 
@@ -147,9 +146,10 @@ class Scanner:
 
     def value(self) -> float:
         """Return a number, a parameter, a function or an expression in brackets."""
+        most_nested = 100  # brackets in brackets; assumed
         self.depth += 1
-        if self.depth > MOST_NESTED:
-            raise ExpressionError(f"more than {MOST_NESTED} brackets are open")
+        if self.depth > most_nested:
+            raise ExpressionError(f"more than {most_nested} brackets are open")
         value = self._primary()
         self.depth -= 1
         if not abs(value) <= MOST_VALUE:

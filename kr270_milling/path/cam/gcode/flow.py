@@ -2,7 +2,7 @@
 
 O words and M98/M99 of LinuxCNC, M97 of Haas, IF, GOTO, WHILE and G65 of Fanuc, L sub-programs of Sinumerik. A program
 without them is run line by line, without this module. A sub-program that is called by its name or number, and is not in
-the program, is that of a file with this name in one of ``FOLDERS``.
+the program, is that of a file with this name in the folder of the program, in its subroutines or in its subs.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from kr270_milling.base.errors import InputError
-from kr270_milling.base.text import read_lines, short
+from kr270_milling.base.files import read_lines, short
 from kr270_milling.path.cam.gcode import ENDINGS
 from kr270_milling.path.cam.gcode.expressions import ExpressionError, Scanner, Variables
 from kr270_milling.path.cam.gcode.interpreter import Interpreter
@@ -23,8 +23,6 @@ from kr270_milling.path.cam.gcode.words import MACROS
 
 MOST_BLOCKS = 1_000_000  #: lines that a program with sub-programs or loops runs; assumed
 DEEPEST = 10  #: sub-programs in sub-programs: LinuxCNC, INTERP_SUB_ROUTINE_LEVELS
-#: of files with a sub-program, from the folder of the program; those of the first folder with such a file count
-FOLDERS = (".", "subroutines", "subs")
 MOST_FILES, MOST_BYTES = 100, 16_000_000  #: files with sub-programs of a program, bytes of each; assumed
 #: a text that has one of these somewhere may jump
 MAY_JUMP = re.compile(
@@ -40,11 +38,8 @@ CONTROL = re.compile(
 NUMBER = re.compile(r"N[ \t]*0*([0-9]+)(?![0-9.])", re.I)
 #: a comment; the words before a bracket are not the name of a cycle here
 REMARK = re.compile(r"\([^)]*\)|;.*")
-HEADER = re.compile(r"[O:]0*([0-9]+)")
-SINUMERIK = re.compile(r"(?:%_N_|PROC)(L[0-9]+)", re.I)
+CHANGE = re.compile(r"(?<![A-Z])M0*6(?![0-9.])", re.I)
 MISSING = "the sub-program {} is not in this file, and no file of this name that has it is beside it"
-NUMBERED = re.compile(r"(?=.*(?:M0*98|G65)(?![0-9])).*?P0*([0-9]+)(?![0-9.])")  #: calls of a number
-LOCAL = re.compile(r"/*(?:N[0-9]+)?L0*([0-9]+)(?:P[0-9]+)?")
 ENDS = {"ENDSUB": "SUB", "ENDIF": "IF", "ENDWHILE": "WHILE", "ENDREPEAT": "REPEAT", "END": "WHILE"}
 #: letters of G65 -> numbers of the parameters (Fanuc, argument specification I)
 ARGUMENTS = dict(zip("ABCIJKDEFHQRSTUVWXYZ", (*range(1, 10), 11, *range(17, 27)), strict=True))
@@ -100,13 +95,17 @@ class Flow:
         self.counters: dict[tuple[int, int], int] = {}
         self.furthest = 0  #: index after the last line that ran
         self.faults: list[tuple[int, str]] = []
-        calls, tried = self._scan(self.programs), set(self.programs)
+        self._take(self._scan(self.programs))
+
+    # --- the table of jumps ---
+
+    def _take(self, calls: set[str]) -> None:
+        """Take the sub-programs that are called, and those that they call, from their files."""
+        tried = set(self.programs)
         while new := calls - tried:
             name = min(new)
             tried.add(name)
             calls |= self._load(name)
-
-    # --- the table of jumps ---
 
     def _load(self, name: str) -> set[str]:
         """Take a sub-program that the program has not from its file, and return those that it calls; raises InputError.
@@ -126,8 +125,10 @@ class Flow:
             raise InputError(path, f"has more than {MOST_BYTES} bytes, too many for a sub-program")
         self.ends.add(len(self.lines))
         self.files.append((len(self.lines) + 1, path))
-        self.lines += ["", *read_lines(path)]
+        lines = read_lines(path)
+        self.lines += ["", *lines]
         self.machine.program.files.append(path)
+        self.machine.changes |= any(CHANGE.search(REMARK.sub("", line)) for line in lines)
         names: dict[str, int] = {}
         calls = self._scan(names)
         if not names and not name.startswith("SUB "):  # without its number
@@ -140,9 +141,11 @@ class Flow:
     @cached_property
     def _beside(self) -> dict[str, list[Path]]:
         """Return the files of sub-programs by the name or number that calls them: 7 for O0007.nc, L100, POCKET."""
+        # of files with a sub-program, from the folder of the program; those of the first folder with such a file count
+        folders = (".", "subroutines", "subs")
         main = self.files[0][1]
         files: dict[str, list[Path]] = {}
-        for folder in FOLDERS[::-1]:
+        for folder in folders[::-1]:
             names: dict[str, list[Path]] = {}
             with contextlib.suppress(OSError):  # no such folder
                 for path in sorted((main.parent / folder).iterdir()):
@@ -163,11 +166,11 @@ class Flow:
             text = "".join(REMARK.sub("", self.lines[index]).split()).upper()
             if match := NUMBER.match(text.lstrip("/")):
                 self.numbers.setdefault((part, int(match[1])), []).append(index)
-            if match := HEADER.fullmatch(text):
+            if match := re.fullmatch(r"[O:]0*([0-9]+)", text):
                 names.setdefault(match[1], index + 1)
                 if not part:
                     self.heads.add(index + 1)
-            elif match := SINUMERIK.match(text):
+            elif match := re.match(r"(?:%_N_|PROC)(L[0-9]+)", text, re.I):
                 names[match[1].upper()] = index + 1  # PROC follows %_N_
             elif match := CONTROL.fullmatch(text):
                 control = _Line(_label(match["label"] or ""), match["word"] or match["fanuc"], match["rest"] or "")
@@ -176,9 +179,10 @@ class Flow:
                 self.controls[index] = control
                 self._pair(index, control, opened, names)
                 calls |= {f"SUB {control.label}"} if control.word == "CALL" else set()
-            if "P" in text and (match := NUMBERED.match(text)):
+            # calls of a number
+            if "P" in text and (match := re.match(r"(?=.*(?:M0*98|G65)(?![0-9])).*?P0*([0-9]+)(?![0-9.])", text)):
                 calls |= {match[1], f"{int(match[1]) % 10_000}"}  # P30012 is three times O12
-            elif "L" in text and (match := LOCAL.fullmatch(text)):
+            elif "L" in text and (match := re.fullmatch(r"/*(?:N[0-9]+)?L0*([0-9]+)(?:P[0-9]+)?", text)):
                 calls.add(f"L{match[1]}")
         self.faults += [(index, f"{word} of {label or 'its loop'} has no end") for index, label, word in opened]
         return calls
@@ -263,14 +267,14 @@ class Flow:
                     break
                 refused.add(index)
             index = following
-        program.where = ""
+        program.go_to("")
 
     def _go(self, index: int) -> None:
         """Note the file of a line; a line of another file than the program is named after the line that calls it."""
         program = self.machine.program
         self.part = sum(first <= index for first, _ in self.files) - 1
         first, path = self.files[self.part]
-        program.where = f"{path.name}, line {index - first + 1}: " if self.part else ""
+        program.go_to(f"{path.name}, line {index - first + 1}" if self.part else "")
 
     def _step(self, index: int) -> int:
         """Run a line and return the index of the next one."""
@@ -372,14 +376,23 @@ class Flow:
         if kind == "M97":
             return self._enter(self._numbered(number), back, int(repeats), None)
         name = f"L{number:g}" if kind == "L" else f"{number:g}"
-        if name not in self.programs and kind == "M98" and number >= 10_000 and repeats == 1:  # P30012: 3 times O12
+        if kind == "M98" and number >= 10_000 and repeats == 1 and self._start(name) is None:  # P30012: 3 times O12
             repeats, name = number // 10_000, f"{number % 10_000:g}"
-        if name not in self.programs:
+        start = self._start(name)
+        if start is None:
             raise _Stop(MISSING.format(name if kind == "L" else "O" + name))
         scope = None
         if kind == "G65":
             scope = 33, {ARGUMENTS[letter]: value for letter, value in arguments.items()}
-        return self._enter(self.programs[name], back, int(repeats), scope)
+        return self._enter(start, back, int(repeats), scope)
+
+    def _start(self, name: str) -> int | None:
+        """Return the first line of a sub-program; the file of a computed name is read now."""
+        if name not in self.programs:
+            self._take({name})
+        if self.faults:
+            raise _Stop(self.faults[0][1])
+        return self.programs.get(name)
 
     def _call_of(self, label: str, rest: str, back: int) -> int:
         if label[:1] in ("#", "["):
@@ -388,7 +401,7 @@ class Flow:
         arguments: list[float] = []
         while not scanner.ended:
             arguments.append(scanner.value())
-        start = self.programs.get(f"SUB {label}")
+        start = self._start(f"SUB {label}")
         if start is None:
             raise _Stop(MISSING.format("O" + label.lower()))
         if len(arguments) > 30:

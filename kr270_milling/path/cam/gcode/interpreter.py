@@ -2,6 +2,9 @@
 
 Each word of a block is taken out of it by what uses it. A word that is left is in the list of what may be read over,
 and counted, or it is refused with its block: used + counted + refused = all (``ProgramBuilder.words``).
+
+Work offsets, G92, G52, G10 L2 and rotation are relative to the frame of the path: a place is
+offset + turn (preset + pattern), as in LinuxCNC; G68 turns the pattern about a point (Fanuc).
 """
 
 from __future__ import annotations
@@ -15,11 +18,9 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from kr270_milling.base.frames import Pose
-from kr270_milling.path.cam.gcode.offsets import NAMES, Offsets
 from kr270_milling.path.cam.gcode.words import (
     ADVICE,
     AXES5,
-    BELONGS,
     CLAIMS,
     DATUM,
     G_GROUPS,
@@ -31,7 +32,6 @@ from kr270_milling.path.cam.gcode.words import (
     SILENT_G,
     SILENT_M,
     UNKNOWN,
-    UNKNOWN_M,
     word_of,
 )
 from kr270_milling.path.cam.machine import AXES, CENTRES, MM, OF_ARCS, Machine
@@ -39,10 +39,50 @@ from kr270_milling.path.cam.program_builder import ProgramBuilder
 from kr270_milling.path.toolpath import TOP
 from kr270_milling.path.trajectory import TOOL_DOWN
 
+#: work offsets with a number, as G10 L2 P and the parameters 5221 ff. count them
+NAMES = ("G54", "G55", "G56", "G57", "G58", "G59", "G59.1", "G59.2", "G59.3")
+
+
+class Offsets:
+    """Work offsets [m, rad] and shifts [m]; where none is known the frame of the path is that of the first move."""
+
+    def __init__(self, places: Sequence[float]):
+        """places: x, y, z of G54, G55 ... in the workpiece frame; without any the path starts in its own frame."""
+        self.given = bool(places)
+        self.systems = {name: [*places[3 * n : 3 * n + 3], 0.0] for n, name in enumerate(NAMES[: len(places) // 3])}
+        self.active = NAMES[0]
+        self.preset = [0.0] * 3  #: G92 or G52
+        self.stored = [0.0] * 3  #: that of G92 before G92.2
+        self.local = False  #: the preset is one of G52
+        self.turn = 1 + 0j  #: G68
+        self.centre = 0j
+        self.base: tuple[complex, complex, float] | None = (1 + 0j, 0j, 0.0) if places else None
+
+    def known(self, name: str) -> bool:
+        """Return whether the place of a work offset is known."""
+        return name in self.systems and all(map(math.isfinite, self.systems[name]))
+
+    @property
+    def affine(self) -> tuple[complex, complex, float]:
+        """Factor, xy and z of the map from coordinates of the program to those of the machine."""
+        x, y, z, angle = self.systems[self.active] if self.known(self.active) else (0.0,) * 4
+        turn = cmath.rect(1.0, angle) if angle else 1 + 0j
+        pattern = self.centre - self.turn * self.centre
+        return turn * self.turn, complex(x, y) + turn * (complex(*self.preset[:2]) + pattern), z + self.preset[2]
+
+    @property
+    def shift(self) -> tuple[complex, complex, float] | None:
+        """Factor, xy [m] and z [m] of the map from coordinates of the program to the path; None where they agree."""
+        if self.base is None:
+            return None
+        (turn, xy, z), (base_turn, base_xy, base_z) = self.affine, self.base
+        shift = turn / base_turn, (xy - base_xy) / base_turn, z - base_z
+        return None if shift == (1, 0, 0) else shift
+
+
 FURTHER = frozenset("ABCUVW")
 VECTOR = ("A3", "B3", "C3")
 MOVES = frozenset(("motion", "cycle"))  #: groups that set nothing else
-DATA = {"preset": "G92", "shift": "G52", "data": "G10", "turn": "G68", "tilt": "G68.2"}  #: groups of ``_datum``
 LETTERS = {"G92": "XYZ", "G52": "XYZ", "G68": "XYR", "G10": "LPQRXYZIJKHD", "G68.2": "XYZIJKP"}
 SAVED = (*MODAL, "feed_mode", "feed", "feed_word", "no_feed", "turning", "speed")  #: modes of M70
 
@@ -210,7 +250,8 @@ class Interpreter(Machine):
         else:
             word = word_of(letter, value)
             moves = letter == "M" or value not in (96, 22, 23)
-            advice = ADVICE.get(word, UNKNOWN if letter == "G" else UNKNOWN_M)
+            other = UNKNOWN if letter == "G" else "it is not known; leave it out where it moves no axis"
+            advice = ADVICE.get(word, other)
             self.program.refuse(word, advice=advice, lost=moves)
             if moves:
                 groups["refused"] = value
@@ -232,7 +273,8 @@ class Interpreter(Machine):
         else:
             word = word_of(letter, value)
             reason = "" if letter in FURTHER else f"the word {word} belongs to no other word of its line"
-            self.program.refuse(word, reason, LEFT.get(letter, BELONGS), derived=letter in OF_ARCS)
+            other = "write it in the line of the word that it belongs to, or leave it out"
+            self.program.refuse(word, reason, LEFT.get(letter, other), derived=letter in OF_ARCS)
 
     def _read_over(self, word: str, axes: dict, letters: str) -> None:
         """Count a word together with the words that belong to it."""
@@ -241,6 +283,7 @@ class Interpreter(Machine):
     # --- what a block sets ---
 
     def _set(self, groups: dict, axes: dict) -> None:
+        data = {"preset": "G92", "shift": "G52", "data": "G10", "turn": "G68", "tilt": "G68.2"}  # groups of ``_datum``
         if "modes" in groups:
             self._save(groups["modes"])
         if "I" in axes and "L" in axes:
@@ -274,7 +317,7 @@ class Interpreter(Machine):
             self._silent(word, groups, axes)
         if "home" in groups:
             self._home(groups, axes)
-        for group, word in DATA.items():
+        for group, word in data.items():
             if group in groups:
                 self._datum(word, groups, axes)
         if "tip" in groups:
@@ -419,7 +462,7 @@ class Interpreter(Machine):
         """A word that changes no path, except together with certain words: G5, G54.4, G74, G75, G92.1 to G92.3."""
         began, value = len(self.program) > 0, groups[word]
         letters = (SILENT_G if word[0] == "G" else SILENT_M)[value]
-        if word in ("G92.1", "G92.2", "G92.3") and ((began and self.preset) or self.offsets.local):
+        if word in ("G92.1", "G92.2", "G92.3") and began and self.preset:
             self.program.refuse(word, advice=DATUM, lost=True)
         elif word in ("G5", "G5.1") and not axes.keys().isdisjoint("XYIJ"):
             groups["motion"] = value
@@ -465,7 +508,10 @@ class Interpreter(Machine):
         program.set_frame("tool lengths", word)
 
     def _home(self, groups: dict, axes: dict) -> None:
-        """G28, G30, G53: the named axes leave the workpiece; without a name, and not for G53, all of them."""
+        """G28, G30, G53: the named axes leave the workpiece; without a name, and not for G53, all of them.
+
+        G28 and G30 lead the named axes through their stated place: NIST RS274/NGC 3.5.8.
+        """
         word, mode = word_of("G", groups["home"]), groups.get("motion")
         if word == "G53" and (self.mode if mode is None else mode) in (0, 1) and self._in_machine(axes):
             return
@@ -475,6 +521,15 @@ class Interpreter(Machine):
             self.program.refuse(word, f"{word} occurs with an arc in one line")
         elif mode is not None:
             self.set_mode(mode)
+        between = {
+            axis: axes[axis]
+            for axis in axes_home
+            if self.absolute.get(axis, not self.incremental) or (axes[axis] and abs(self.position[AXES[axis]]) < TOP)
+        }
+        if between and word != "G53":
+            mode, self.mode = self.mode, 0
+            self._move(between)
+            self.mode = mode
         text = " ".join([word, *(axes_home or (AXES if word in ("G28", "G30") else []))])
         self._read_over(text, axes, "XYZP" if word == "G30" else "XYZ")
         self.home(text.split()[1:])
@@ -499,7 +554,8 @@ class Interpreter(Machine):
     def _restore(self, value: float) -> None:
         """G92.1 and G92.2 end the shift of G92, which G92.3 restores after G92.2."""
         stored = [0.0] * 3 if value == 92.1 else self.offsets.stored
-        self._change(preset=stored if value == 92.3 else [0.0] * 3, stored=stored)
+        local = self.offsets.local and value != 92.1
+        self._change(preset=stored if value == 92.3 else [0.0] * 3, stored=stored, local=local)
 
     def _datum(self, word: str, groups: dict, axes: dict) -> None:
         """G10, G52, G68, G92: before the first move they place the frame of the path; G92 S is a limit."""
@@ -546,7 +602,7 @@ class Interpreter(Machine):
         preset = [lengths[axis] * self.unit if axis in lengths else self.offsets.preset[n] for axis, n in AXES.items()]
         if not self._began and any(preset) and not self.offsets.given:
             self.offsets.base = self.offsets.affine  # a shift of the zero that the post knows
-        self._change(preset=preset, local=any(preset))
+        self._change(preset=preset, stored=preset, local=any(preset))
         return ""
 
     def _turned(self, lengths: dict, axes: dict) -> str:

@@ -12,10 +12,10 @@ import re
 from collections.abc import Sequence
 from typing import Any
 
-from kr270_milling.base.text import read_lines, short, unended
+from kr270_milling.base.files import read_lines, short, unended
 from kr270_milling.path.cam.comments import operation_name
 from kr270_milling.path.cam.gcode.expressions import ExpressionError, Scanner, Variables
-from kr270_milling.path.cam.gcode.flow import Flow, has_flow
+from kr270_milling.path.cam.gcode.flow import CHANGE, Flow, has_flow
 from kr270_milling.path.cam.gcode.interpreter import VECTOR, Interpreter
 from kr270_milling.path.cam.gcode.words import ADVICE, HEIDENHAIN, MACROS, SILENT, UNKNOWN
 from kr270_milling.path.cam.machine import CORNERS
@@ -56,7 +56,6 @@ PIECE = re.compile(
     re.VERBOSE | re.DOTALL,
 )
 ASSIGNED = re.compile(rf"([A-Z][A-Z0-9_]*)[ \t]*=[ \t]*(?:(AC|IC|DC)[ \t(]*)?(?:({NUMBER})|\"(.*)\")")
-CHANGE = re.compile(r"(?<![A-Z])M0*6(?![0-9.])", re.I)
 #: a word that Sinumerik computes from R parameters or functions; and its name
 COMPUTED = re.compile(
     r"(?:^|[ \t])R[0-9]+[ \t]*="
@@ -64,14 +63,10 @@ COMPUTED = re.compile(
     re.I,
 )
 NAMED = re.compile(r"[A-Z]+[0-9]*[ \t]*=[ \t]*")
-NAMED_PROGRAM = re.compile(r"[ \t]*O[ \t]*<[^>]*>[ \t]*", re.I)  #: title of a program of LinuxCNC
 BLANK = re.compile(r"[ \t]+")
 LETTER = re.compile(r"[A-Z@^]")
 LABEL = re.compile(r"\s*(?:N\s*[0-9]+|[O:]\s*[0-9]+)?\s*", re.I)
-LAST = re.compile(r"\s*%?\s*(?:N\s*[0-9]+)?(?:\s*M\s*[0-9]{1,2})*\s*", re.I)
 SKIP = re.compile(r"(N[ \t]*[0-9]+)?[ \t]*/[/0-9 \t]*", re.I)  #: the sign of block skip, before or after N
-OFFSET = re.compile(r"G[ \t]*0*4[12](?![0-9])")  #: the tool is beside the contour
-HOMES = (("G", 74), ("G", 75), ("G", 28))
 
 
 def read_gcode(
@@ -122,8 +117,8 @@ class GcodeReader:
         flow = Flow(self.machine, self.variables, self.run_line, lines) if has_flow(text) else None
         if flow and program.files:
             text = "\n".join(flow.lines).upper()
-            self.machine.changes = changes_by_m6(flow.lines)
-        if self.machine.contour is None and (OFFSET.search(text) or any(word in text for word in CORNERS)):
+        beside = re.search(r"G[ \t]*0*4[12](?![0-9])", text)  # the contour
+        if self.machine.contour is None and (beside or any(word in text for word in CORNERS)):
             self.machine.look_ahead(lambda machine: type(self)(machine.program, machine).read(lines))
         if flow:
             flow.run()
@@ -142,12 +137,15 @@ class GcodeReader:
         if self.machine.ended or program.hopeless:
             codes = (_split_comments(rest)[0].strip("% \t") for rest in lines[read:])
             program.silent["lines after the end"] += sum(map(bool, codes))
-            program.silent["M99 of the program, which is run once"] += self.machine.end_word == 99
+            if self.machine.end_word in (99, 47):
+                program.silent[f"M{self.machine.end_word:g} of the program, which is run once"] += 1
             program.silent = +program.silent
             return
         # a last line without an end may be cut off: harmless if it ends in M words or only in a rapid move
         retract = program.moved and program.cuts == cuts > 0
-        if (reason := unended(lines)) and not (retract or LAST.fullmatch(_split_comments(lines[-1])[0])):
+        last = _split_comments(lines[-1])[0]
+        harmless = retract or re.fullmatch(r"\s*%?\s*(?:N\s*[0-9]+)?(?:\s*M\s*[0-9]{1,2})*\s*", last, re.I)
+        if not harmless and (reason := unended(lines)):
             program.refuse("", reason)
 
     def _straight_moves(self, lines: list[str], index: int) -> int:
@@ -158,7 +156,7 @@ class GcodeReader:
             return index
         unit, feed_word, match_line = machine.unit, machine.feed_word, STRAIGHT.fullmatch
         x, y, z = machine.position
-        ends: list[tuple[float, float, float, int]] = []
+        ends: list[tuple[float, float, float]] = []
         words: list[int] = []
         for number in range(index, len(lines) - 1):
             match = match_line(lines[number])
@@ -175,12 +173,13 @@ class GcodeReader:
                 z = float(to_z) * unit
             elif to_x is None and to_y is None:
                 break
-            ends.append((x, y, z, number + 1))
+            ends.append((x, y, z))
             words.append(6 - groups.count(None))
-        run = program.straight_cuts(ends, machine.feed or 0.0) if ends else 0
+        numbers = list(range(index + 1, index + len(ends) + 1))
+        run = program.straight_cuts(ends, numbers, machine.feed or 0.0) if ends else 0
         if run:
             program.words["used"] += sum(words[:run])
-            machine.position = list(ends[run - 1][:3])
+            machine.position = list(ends[run - 1])
         return index + run
 
     def run_line(self, line: str) -> None:
@@ -215,7 +214,8 @@ class GcodeReader:
             self.program.silent["/"] += 1
         if code[:1] == ":":
             code = "O" + code[1:]
-        if NAMED_PROGRAM.fullmatch(code):
+        # title of a program of LinuxCNC
+        if re.fullmatch(r"[ \t]*O?[ \t]*<[^>]*>[ \t]*", code, re.I):
             code = ""
         if comments:
             self._comments(code, comments)
@@ -323,6 +323,7 @@ class GcodeReader:
 
     def _assigned(self, text: str, words: list, names: list) -> None:
         """Take words of Sinumerik with a sign of equality: X=AC(1), CR=5, S1=3000, Z1=0, T="MILL 10"."""
+        homes = (("G", 74), ("G", 75), ("G", 28))
         name, mode, number, quoted = ASSIGNED.findall(text)[0]
         letter, numbered = name[0], name[1:].isdigit()
         if not number and name == "T" and quoted.strip():
@@ -331,11 +332,14 @@ class GcodeReader:
             words.append((name, float(number)))
             if mode in ("AC", "IC"):
                 self.machine.absolute[name] = mode == "AC"
+        elif name == "FP" and ("G", 75.0) in words:
+            self.program.count("FP")
         elif number and numbered and letter in "SM":
             words.append((letter, float(number)))
-        elif numbered and letter in "XYZ" and any(word in words for word in HOMES):  # of the machine: it goes home
-            words[:] = [word for word in words if word not in HOMES[:2]]
+        elif numbered and letter in "XYZ" and any(word in words for word in homes):  # of the machine: it goes home
+            words[:] = [word for word in words if word not in homes[:2]]
             words += [("G", 28.0), (letter, 0.0)]
+            self.machine.absolute[letter] = False  # it has no place between
         else:
             names.append((name, text[len(name) :]))
 

@@ -2,31 +2,160 @@
 
 The interpreter of the reader runs each line, so that the kind of its move is known. A line with a feed move (G1, G2,
 G3) becomes G1 blocks; its N number, its other words and its comments stay.
+
+A program with parameters, sub-programs, shifts or curves is first written out: one line for each move, in absolute mm.
+Cycles along z stay cycles; comments, tools, speeds and words of M stay with their moves.
 """
 
 from __future__ import annotations
 
 import dataclasses
 import math
+import re
 from collections.abc import Collection
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from kr270_milling.base.errors import InputError
-from kr270_milling.base.text import read_lines
-from kr270_milling.path.cam.gcode.expansion import expanded
+from kr270_milling.base.files import read_lines
 from kr270_milling.path.cam.gcode.interpreter import Interpreter
 from kr270_milling.path.cam.gcode.reader import COMMENT, PIECE, SKIP, GcodeReader, changes_by_m6, gcode_path
-from kr270_milling.path.cam.machine import MM
+from kr270_milling.path.cam.gcode.words import G_GROUPS, word_of
+from kr270_milling.path.cam.machine import AXES, MM, NURBS
 from kr270_milling.path.cam.program_builder import ProgramBuilder
 from kr270_milling.path.toolpath import Toolpath
 
-SAME_PLACE = 1e-9  #: [m], of a position and its number with seven decimals of a mm
+#: groups of words that place the coordinates: they stay before the first move
+PLACING = frozenset(("offset", "data", "preset"))
+ENDING = frozenset((0, 1, 2, 5, 9, 30, 60))  #: M words after the move of their line
+DROPPED = frozenset((17, 97, 98, 99))
+
+
+class _Expansion(Interpreter):
+    """Writes each block as its settings and its moves."""
+
+    watched = True
+
+    def __init__(self, *args: Any):
+        super().__init__(*args)
+        self.lines: list[str] = ["G21 G90 G17 G94 G40 G80"]
+        self.needed = False  #: another program than the source
+        self._moves: list[str] = []
+        self._fed = 0.0
+
+    def run(self, words: list[tuple[str, Any]]) -> None:
+        began, self._moves = self._began, []
+        super().run(words)
+        head = [self._word(*word) for word in words if self._stays(*word, words, began)]
+        ending = [word_of(*word) for word in words if word[0] == "M" and word[1] in ENDING]
+        self.lines += [" ".join(head)] * bool(head) + self._moves + [" ".join(ending)] * bool(ending)
+        self.needed = (
+            self.needed
+            or self.shift is not None
+            or self.contour is not None
+            or self.polar
+            or bool(self.pattern)
+            or self.mode in (5, 5.1, *NURBS)
+            or bool(self.cycle and self.plane != 17)
+        )
+
+    def _stays(self, letter: str, value: Any, words: list, began: bool) -> bool:
+        # words that stay in their line: dwell, tool length, exact stop, look-ahead
+        unchanged = frozenset((4, 8, 9, 43, 43.1, 49, 61, 61.1, 64))
+        codes = {number for kind, number in words if kind == "G"}
+        placing = any(G_GROUPS.get(code) in PLACING for code in codes) and not began
+        if letter == "G":
+            return value in unchanged or (placing and G_GROUPS.get(value) in PLACING)
+        if letter == "M":
+            return value not in ENDING and value not in DROPPED
+        if letter in "ST":
+            return 4 not in codes or letter == "T"
+        if placing:
+            return letter in "LPXYZR"
+        return (
+            (letter == "H" and 43 in codes)
+            or (letter == "Z" and 43.1 in codes)
+            or (letter == "P" and not codes.isdisjoint((4, 64)))
+        )
+
+    def _word(self, letter: str, value: Any) -> str:
+        if not isinstance(value, float):
+            return f'{letter}="{value}"'
+        return f"{letter}{_number(value * self.unit)}" if letter in AXES else word_of(letter, value)
+
+    def _place(self, point) -> str:
+        ends = zip(AXES, self.on_path(point), strict=True)
+        return " ".join(f"{axis}{_number(value)}" for axis, value in ends if math.isfinite(value))
+
+    def go(self, end) -> None:
+        super().go(end)
+        if place := self._place(end):
+            self._moves.append(f"G0 {place}")
+
+    def _feed_to(self, start, ends, length: float, curvature: float = 0.0) -> None:
+        feed = 6e4 * (self._feed_rate(length) or 0.0)
+        self._moves += [f"G1 {self._place(end)} F{feed:.6g}" for end in ends]
+        super()._feed_to(start, ends, length, curvature)
+
+    def _hole(self, place, cycle, across: int) -> bool:
+        count = len(self._moves) + 3  # with the moves up to the height R
+        drilled = super()._hole(place, cycle, across)
+        if across == 2:
+            peck = f" Q{_number(cycle.peck)}" if cycle.kind in (73, 83) else ""
+            xy = self._place((*place[:2], math.nan))
+            _, _, height = self.on_path((0.0, 0.0, cycle.bottom))
+            _, _, level = self.on_path((0.0, 0.0, cycle.retract))
+            feed = f" F{6e4 * (self._feed_rate(cycle.retract - cycle.bottom) or 0.0):.6g}"
+            hole = f"G99 G{cycle.kind} {xy} Z{_number(height)} R{_number(level)}{peck}{feed}"
+            self._moves = [*self._moves[:count], hole, "G80", f"G0 {self._place(self.position)}"]
+        return drilled
+
+    def home(self, axes: list[str]) -> None:
+        self._moves.append(" ".join(["G91 G28", *(f"{axis}0" for axis in axes)]))
+        self._moves.append("G90")
+        written = [*self._moves]
+        super().home(axes)
+        self._moves = written
+
+
+class _Reader(GcodeReader):
+    """Keeps the comments of the lines."""
+
+    machine: _Expansion
+
+    def _comments(self, code: str, comments: list[str]) -> None:
+        super()._comments(code, comments)
+        texts = [f"({comment.replace('(', '[').replace(')', ']')})" for comment in comments if comment]
+        if texts and re.fullmatch(r"\s*O\s*[0-9]+\s*", code, re.I):
+            texts[0] = f"{code.strip()} {texts[0]}"
+        self.machine.lines += texts
+
+
+def expanded(path, lines: list[str], feed: float = 0.0) -> list[str] | None:
+    """Return the lines of a program written out; None for a program of plain blocks in one place.
+
+    Raises InputError for a program that cannot be run.
+    """
+    program = ProgramBuilder(path, "")
+    machine = _Expansion(program, feed, changes_by_m6(lines), ())
+    reader = _Reader(program, machine)
+    reader.read(lines)
+    if not (reader.computed or machine.needed):
+        return None
+    if program.refusals:
+        raise InputError(path, "a program with words that cannot be run cannot be written out", program.line)
+    return [*machine.lines, ""]
+
+
+def _number(length: float) -> str:
+    """[mm], with all digits that a position has."""
+    return f"{round(length / MM, 7) + 0.0:.7f}".rstrip("0").rstrip(".")
+
+
 ABSOLUTE = "is incremental, and a corrected program needs absolute coordinates; post the program with G90"
 PLACES = {"feed": frozenset("XYZIJKR") | {"CR", "TURN"}, "rapid": frozenset("XYZ")}
-#: words that end a block: they stay on the last of its new blocks
-ENDING = {("G", 9.0), *(("M", float(code)) for code in (0, 1, 2, 5, 9, 17, 30, 60, 99))}
 
 
 @dataclass(frozen=True)
@@ -51,12 +180,12 @@ class _Watch(Interpreter):
         self._corrected: frozenset[str] = frozenset()  #: axes that a corrected feed move placed
 
     def _note(self, kind: str, axes: Collection[str]) -> None:
-        if self.program.tool in self.tools:
+        if self.program.run in self.tools:
             self.move_of_line = SourceMove(kind, self.unit, self.mode in (2, 3))
             self._corrected = frozenset("XYZ") if kind == "feed" else self._corrected.difference(axes)
 
     def _refuse(self, reason: str) -> None:
-        if self.program.tool in self.tools:
+        if self.program.run in self.tools:
             raise InputError(self.program.source, reason, self.program.line)
 
     def _relative(self, axes: Collection[str]) -> str:
@@ -148,7 +277,8 @@ class GcodeSource:
         if not self.written_out:
             return path.line
         read = gcode_path(file, list(self.lines), path.program.tool, feed)
-        if len(read) != len(path) or np.abs(read.position - path.position).max() > SAME_PLACE:
+        # [m], of a position and its number with seven decimals of a mm
+        if len(read) != len(path) or np.abs(read.position - path.position).max() > 1e-9:
             raise InputError(file, "cannot be written out without parameters and sub-programs")
         return read.line
 
@@ -227,6 +357,8 @@ def _rewritten(line: str, move: SourceMove, places: list[str], rates: np.ndarray
 def _sorted_words(code: str, move: SourceMove) -> tuple[list[str], list[str], list[str], int]:
     """The words of a line without those of its move: of its first block, of its last block, comments; where the move
     was."""
+    # words that end a block: they stay on the last of its new blocks
+    last_of_block = {("G", 9.0), *(("M", float(code)) for code in (0, 1, 2, 5, 9, 17, 30, 47, 60, 99))}
     words: list[str] = []
     ending: list[str] = []
     comments: list[str] = []
@@ -240,7 +372,7 @@ def _sorted_words(code: str, move: SourceMove) -> tuple[list[str], list[str], li
                 continue
             if _of_move(match, move):
                 place = len(words) if place is None else place
-            elif match.lastgroup == "word" and (text[0], float(text[1:])) in ENDING:
+            elif match.lastgroup == "word" and (text[0], float(text[1:])) in last_of_block:
                 ending.append(text)
             else:
                 words.append(code[start:][slice(*match.span())])

@@ -71,7 +71,7 @@ G_GROUPS: dict[float, str] = {
 }
 M_GROUPS: dict[float, str] = {
     **{n: f"M{n:g}" for n in SILENT_M},
-    **dict.fromkeys((2, 30, 99, 17), "end"),
+    **dict.fromkeys((2, 30, 99, 17, 47), "end"),  # 47: from the first line again (Mach3)
     **dict.fromkeys((97, 98), "call"),
     **dict.fromkeys((70, 71, 72, 73), "modes"),
     **dict.fromkeys((3, 4, 5, 13, 14, 19), "spindle"),
@@ -88,17 +88,14 @@ CLAIMS: dict[float, tuple[str, str]] = {
     60: ("XYZ", "is a rapid move on Fanuc and an exact stop on Sinumerik"),
 }
 
-CENTRE = "let the CAM output the path of the tool's centre (compensation in the computer)"
 MACROS = "post without macros and sub-programs, every move in one program"
 DATUM = "let the CAM output coordinates of one work offset, without shift, rotation, mirror or scale"
 CURVES = "let the CAM output lines and arcs"
 PROBING = "leave probing out of this program"
 AXES5 = "post tilted planes with G68.2 or CYCLE800, or a 3-axis program"
-ROTARY = f"state the machine of the program as machine.kinematics in the cell, or {AXES5}"
 POCKETS = "let the CAM output the cycle as G1, G2 and G3 moves"
 UNKNOWN = "it is not known; post for a 3-axis mill with Fanuc, Haas, LinuxCNC or Sinumerik control"
 
-UNKNOWN_M = "it is not known; leave it out where it moves no axis"
 
 HEIDENHAIN = "a program of a Heidenhain control; give its file the ending .h"
 
@@ -114,7 +111,7 @@ def _each(names: str, advice: str) -> dict[str, str]:
 
 #: words that cannot be run -> what to do
 ADVICE = {
-    **_each("G141", CENTRE),
+    **_each("G141", "let the CAM output the path of the tool's centre (compensation in the computer)"),
     **_each("G66 G66.1 M96 M198", MACROS),
     **_each(
         """IF ENDIF ELSE WHILE ENDWHILE END GOTO GOTOF GOTOB FOR ENDFOR DO REPEAT CALL EXTCALL DEF SUB EQ NE LOOP
@@ -147,11 +144,10 @@ ADVICE = {
 #: letters that no word of their line takes -> what to do
 LEFT = {
     **dict.fromkeys("LPO", "a jump or a call; " + MACROS),
-    **dict.fromkeys("ABC", ROTARY),
+    **dict.fromkeys("ABC", f"state the machine of the program as machine.kinematics in the cell, or {AXES5}"),
     **dict.fromkeys("UVW", AXES5),
     "E": "a word of 3-D printers; post for a milling machine",
 }
-BELONGS = "write it in the line of the word that it belongs to, or leave it out"
 #: names that change no path: dynamics, compressors, orientation of nothing, messages, modes that end
 SILENT = frozenset(
     _each(

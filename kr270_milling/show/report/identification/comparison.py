@@ -106,11 +106,9 @@ def _figures(channels: list[ComparedChannel]) -> list:
     return figures
 
 
-WALL_COLUMNS = ("x, y [mm]", "measured [um]", "predicted [um]", "5 to 95 % of the plants [um]", "inside")
-
-
 def wall_outcome(compared: WallComparison, name: str, cell: str) -> Outcome:
     """Return the result of ``compare`` with a table of places; name, cell: names of the files."""
+    heading = ("x, y [mm]", "measured [um]", "predicted [um]", "5 to 95 % of the plants [um]", "inside")
     measured, line = compared.measured, compared.line
     columns = zip(
         1e3 * measured.place,
@@ -152,7 +150,7 @@ def wall_outcome(compared: WallComparison, name: str, cell: str) -> Outcome:
         for p in places[:60]  # rows of the table
     ]
     title = f"Measured against predicted wall: {name} and {cell}"
-    table = TextTable("Error of the wall, positive: material is left standing", WALL_COLUMNS, rows)
+    table = TextTable("Error of the wall, positive: material is left standing", heading, rows)
     return Outcome("compare_wall", title, result, [table], sentences, lambda: _wall_figures(compared))
 
 

@@ -189,7 +189,6 @@ def _figures(fit: Fit) -> list:
     ]
 
 
-LOADS = ("hang", "pull outward", "pull sideways", "pull between both")  #: kind of a candidate -> text
 MODULE = "LOADTEST"
 
 
@@ -243,10 +242,11 @@ def blind_spots(relative: np.ndarray, names: Sequence[str]) -> list[str]:
 
 def load_text(plan: Candidates, row: int) -> str:
     """Return the instruction for the load of a test."""
+    kinds = ("hang", "pull outward", "pull sideways", "pull between both")  # kind of a candidate -> text
     x, y, z = plan.tests.wrench[row, :3].tolist()
     kind = int(plan.kind[row])
     toward = f" toward {np.degrees(np.arctan2(y, x)):.1f} deg" if kind else ""
-    return f"{LOADS[kind]} {np.linalg.norm([x, y, z]):.0f} N{toward}"
+    return f"{kinds[kind]} {np.linalg.norm([x, y, z]):.0f} N{toward}"
 
 
 def write_plan(directory, plan: Candidates, notes: list[str]) -> list[Path]:

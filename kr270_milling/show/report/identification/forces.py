@@ -8,13 +8,11 @@ import numpy as np
 
 from kr270_milling.base.column import TextTable, as_dict
 from kr270_milling.physics.cutting import LAWS
-from kr270_milling.physics.cutting.materials import NAMES, SCALE, Material, spread
+from kr270_milling.physics.cutting.laws import NAMES, SCALE, Material, spread
 from kr270_milling.show.report.identification import Outcome
 from kr270_milling.show.report.study_page import COLOURS, points
 from kr270_milling.studies.identification.doubts import force_doubts
 from kr270_milling.studies.identification.forces import TOWARD_PART, LawFit, law_sections
-
-MATERIALS = "Linear-edge law [N/mm2, N/mm]"
 
 
 def force_outcome(fits: list[LawFit], law: str, source: str, left_out: Sequence[int] = ()) -> Outcome:
@@ -48,6 +46,7 @@ def force_outcome(fits: list[LawFit], law: str, source: str, left_out: Sequence[
 
 def material_outcome(rows: list[Material], name: str | None, row: Material | None) -> Outcome:
     """Return published coefficients; name: of the one material that was asked for; row: of the parameter file."""
+    title = "Linear-edge law [N/mm2, N/mm]"
     entries = [
         {"material": m.name, "cutter": m.cutter, "lubrication": m.lubrication, "source": m.source}
         | dict(zip(NAMES, (m.values / SCALE).tolist(), strict=True))
@@ -61,8 +60,8 @@ def material_outcome(rows: list[Material], name: str | None, row: Material | Non
     texts = [[m.name, m.cutter, *("-" if np.isnan(v) else f"{v:g}" for v in m.values / SCALE)] for m in rows]
     sources = [f"{m.name}, {m.cutter}, {m.lubrication} [source: {m.source}]" for m in rows] if name else []
     stem = (name or "").lower().replace(".", "_")
-    table = TextTable(MATERIALS, columns, texts)
-    return Outcome(stem, MATERIALS, {"materials": entries}, [table], sources, sections=sections)
+    table = TextTable(title, columns, texts)
+    return Outcome(stem, title, {"materials": entries}, [table], sources, sections=sections)
 
 
 def _table(fit: LawFit) -> TextTable:

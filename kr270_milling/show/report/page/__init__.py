@@ -17,8 +17,6 @@ from kr270_milling.base.extensions import require_extra
 from kr270_milling.base.version import __version__
 
 HERE = Path(__file__).parent
-#: names of the report's scripts, in the order in which the page runs them
-REPORT_SCRIPTS = ("base", "place", "maps", "series", "zoom", "source", "part", "robot", "charts", "start")
 PLOTLY_FILE = "plotly.min.js"  #: next to pages that do not contain plotly
 #: series: the colours of Okabe and Ito (black, vermilion, blue, green, purple, sky blue), darker or lighter for
 #: contrast, then grey and brown; diverging: from blue to vermilion about a neutral middle. Both are distinct for every

@@ -7,7 +7,7 @@ T1 M6
 S8000 M3
 G0 X0 Y0 Z5
 G1 Z0 F500
-X20 Z-1
+X6 Z-0.3
 X0 F500
 G0 Z5
 (Drill 5mm holes by milling)

@@ -12,8 +12,8 @@ from typing import Any
 
 import numpy as np
 
+from kr270_milling.base.files import short
 from kr270_milling.base.frames import Pose, abc_from_rotation
-from kr270_milling.base.text import short
 
 FRAME = ("X", "Y", "Z", "A", "B", "C")
 TOKEN = re.compile(

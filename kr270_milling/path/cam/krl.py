@@ -18,11 +18,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.interpolate import CubicSpline
 
+from kr270_milling.base.files import read_lines, short
 from kr270_milling.base.frames import quaternion_from_rotation, rotation_from_abc
-from kr270_milling.base.text import read_lines, short
 from kr270_milling.path.cam.arcs import ArcError, arc_points
 from kr270_milling.path.cam.comments import operation_name
-from kr270_milling.path.cam.krl.values import FRAME, KrlError, UnknownValueError, composed, evaluated, parts
+from kr270_milling.path.cam.krl_values import FRAME, KrlError, UnknownValueError, composed, evaluated, parts
 from kr270_milling.path.cam.machine import CHORD, MM, Machine
 from kr270_milling.path.cam.program_builder import ProgramBuilder
 from kr270_milling.path.toolpath import REACH, Toolpath
@@ -44,10 +44,8 @@ SILENT_SYSTEM = re.compile(
     r"\$(?:ACC|JERK|APO|ADVANCE|ORI_TYPE|CIRC_TYPE|CIRC_MODE|SPL_|LOAD|OUT|ANOUT|BWDSTART|H_POS|VEL_AXIS|ACC_AXIS|GEAR_"
     r"|VEL\.ORI|TIMER|FLAG|CYCFLAG|ACT_TOOL|ACT_BASE|VEL_EXTAX|ACC_EXTAX|TORQMON|CP_|RED_|PRO_|LOOP|MSG|NUM_|OUT_C)",
 )
-WORDS_OF_BAS = re.compile(r"#(?:INITMOV|ACC_|VEL_PTP|PTP_DAT|CP_DAT|OUT_|EX_)")
 MOTION = re.compile(r"(S?PTP|S?LIN|S?CIRC|SPL)(_REL)?\b(?=\s*[{$\w(])", re.I)
 ASSIGNMENT = re.compile(r"(\$?\w+(?:\[[^=]*\])?(?:\.\w+)*)\s*=(?!=)\s*(.*)")
-BLEND = re.compile(r"\s(?:C_(?:DIS|VEL|ORI|PTP|SPL)\b\s*)+\Z", re.I)
 AXES = ("X", "Y", "Z")
 POST = "post the moves as LIN, CIRC and PTP with their coordinates"
 EXTERNAL = tuple(f"E{k}" for k in range(1, 7))
@@ -167,9 +165,9 @@ class _KrlReader(Machine):
         for statement in statements:
             if self.program.hopeless:
                 return
-            self.program.where = f"{statement.file.name}, line {statement.line}: "
-            if statement.file == self.path:
-                self.program.line, self.program.where = statement.line, ""
+            inside = statement.file == self.path
+            self.program.line = statement.line if inside else self.program.line
+            self.program.go_to("" if inside else f"{statement.file.name}, line {statement.line}")
             refusals, counted, refused = self.program.refusals, self.program.words["counted"], False
             if statement.text[:1] == ";":
                 name, announced = operation_name(statement.text.lstrip("; "))
@@ -373,7 +371,7 @@ class _KrlReader(Machine):
             for name, key in (("$TOOL", "TOOL_NO"), ("$BASE", "BASE_NO")):
                 if isinstance(data, dict) and key in data:
                     self._set_frame(name, f"{name[1:]}_DATA[{data[key]}]")
-        elif WORDS_OF_BAS.match(word):
+        elif re.match(r"#(?:INITMOV|ACC_|VEL_PTP|PTP_DAT|CP_DAT|OUT_|EX_)", word):
             self.program.count(f"BAS({word})")
         elif word != "#VEL_CP":
             raise KrlError(f"BAS({short(word)}) is not known; {POST}")
@@ -399,7 +397,7 @@ class _KrlReader(Machine):
         own_feed = self.feed
         for setting in parts(settings) if settings else ():
             self._setting(setting)
-        if blend := BLEND.search(text):
+        if blend := re.search(r"\s(?:C_(?:DIS|VEL|ORI|PTP|SPL)\b\s*)+\Z", text, re.I):
             self.program.count(blend[0].strip().upper())
             text = text[: blend.start()]
         targets = parts(re.sub(r"\s*#BASE\Z", "", text, flags=re.I) if relative else text)

@@ -16,38 +16,46 @@ from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 
+from kr270_milling.base.files import read_lines, short, unended
 from kr270_milling.base.frames import Pose, rotation_from_quaternion, tool_axis
-from kr270_milling.base.text import read_lines, short, unended
-from kr270_milling.path.cam.apt.words import (
-    ADVICE,
-    CENTRE,
-    CYCLES,
-    DATUM,
-    DISTANCES,
-    FEEDS,
-    LENGTHS,
-    MILL,
-    MOVES,
-    SILENT,
-    SYSTEMS,
-    TEXTS,
-)
 from kr270_milling.path.cam.comments import kind_of, operation_name
-from kr270_milling.path.cam.drilling import Cycle
 from kr270_milling.path.cam.gcode.words import SILENT_M
-from kr270_milling.path.cam.machine import INCH, Machine
-from kr270_milling.path.cam.program_builder import ProgramBuilder
+from kr270_milling.path.cam.machine import INCH, MM, Machine
+from kr270_milling.path.cam.program_builder import Cycle, ProgramBuilder
 from kr270_milling.path.source_program import ProgramTool
 from kr270_milling.path.toolpath import Toolpath
 from kr270_milling.path.trajectory import TOOL_DOWN, tool_along
 
-WORD = re.compile(r"[A-Z][A-Z0-9 _-]*")
+LENGTHS = {"MM": MM, "INCHES": INCH, "INCH": INCH, "IN": INCH, "CM": 1e-2}
+#: unit of FEDRAT -> length [m], None: that of UNITS, and whether it is per revolution
+FEEDS = {"MMPM": (MM, False), "IPM": (INCH, False), "PERMIN": (None, False), "MMPR": (MM, True), "IPR": (INCH, True),
+         "PERREV": (None, True)}  # fmt: skip
+#: kind of CYCLE/ -> the cycle of G-code that makes the same hole
+CYCLES = {"DRILL": 81, "FACE": 82, "DEEP": 83, "BRKCHP": 73, "REAM": 85}
+#: words without effect on the path, whatever their values
+SILENT = frozenset({
+    "REMARK", "MACHIN", "COOLNT", "DISPLY", "PAINT", "INTOL", "OUTTOL", "TOLER", "END-OF-PATH", "STOP", "OPSTOP",
+    "OPSKIP", "DELAY", "DWELL", "REWIND", "SEQNO", "LEADER", "CLEARP", "CLEARANCE", "CHECK", "SETMODE", "MODE",
+    "CATPROCESS", "OP", "TPRINT", "CAMERA", "HEAD", "THICK", "LETTER", "OVPLOT", "PIVOTZ", "SELECT", "SET", "MULTAX",
+    "MCHTOL", "ARCSLP", "BREAK", "UNLOAD", "TLON",
+})  # fmt: skip
+TEXTS = ("PARTNO", "PPRINT", "REMARK", "INSERT", "LETTER")  #: their values are text, in which $ is a character
 TEXT = re.compile(rf"\s*(?:{'|'.join(TEXTS)})\b", re.I)
-BEGINNING = re.compile(r"\s*([A-Z][A-Z-]*)\s*(?:[/$]|\Z)", re.I)
-ROW = re.compile(r"[-+0-9.,EeDd \t]*\$?\s*")  #: numbers that continue a remark of Creo
-CARD = re.compile(r".{72}\s{0,7}[A-Z]{0,5}([0-9]{1,8})\s*")  #: columns 73 to 80 of a punched card number it
-INSERTED = re.compile(r"(?<![A-Z])[GXYZIJKRUVWABC]\s*[-+.]?[0-9]", re.I)  #: a block of an INSERT that sets or moves
-SPINDLE_WORDS = ("ON", "RPM", "CLW", "LOW", "MEDIUM", "HIGH", "AUTO")
+SYSTEMS = ("MSYS", "ORIGIN", "CSYS")  #: words that set the origin of the coordinates
+MILL = "post CL data of a 3-axis mill: GOTO, CIRCLE, FEDRAT, RAPID"
+DATUM = "let the CAM output coordinates of one system"
+MOVES = "let the CAM output this move as GOTO"
+MACROS = "let the CAM output CL data without macros, loops and geometry statements"
+ADVICE = {
+    "CYCLE": "let the CAM output drilling as GOTO moves", "THREAD": "leave threads out", "PROBE": "leave probing out",
+    **dict.fromkeys(("TLLFT", "TLRGT", "INDIRV", "GOFWD", "NURBS", "ARCMOV", "MOVARC", "HELIX"),
+                    "let the CAM output arcs as CIRCLE/ about z or as GOTO moves"),
+    **dict.fromkeys(("TRACUT", "TRANS", "COPY", "ROTATE", "ROTABL", "ROTHED", "PATTERN"), DATUM),
+    **dict.fromkeys(("PLUNGE", "SAFETY", "POSTN"), MOVES),
+    **dict.fromkeys(("LOOPST", "LOOPND", "MACRO", "CALL", "IF", "JUMPTO", "TERMAC"), MACROS),
+}  # fmt: skip
+
+
 NO_END = "a CIRCLE/ without the GOTO/ of its end"
 
 
@@ -101,7 +109,8 @@ class _AptReader(Machine):
         """Up to the end of the program, or of the file."""
         statement, remark, first, number, cuts = "", "", 0, 1, 0
         for number, line in enumerate(_without_numbers(lines if lines[-1].strip() else lines[:-1]), 1):
-            if remark and ROW.fullmatch(line):
+            # numbers that continue a remark of Creo
+            if remark and re.fullmatch(r"[-+0-9.,EeDd \t]*\$?\s*", line):
                 remark, line = remark.rstrip("$ \t") + line.strip(), ""
             if remark and not remark.endswith("$"):
                 self._remark(remark)
@@ -143,7 +152,7 @@ class _AptReader(Machine):
 
     def _begins(self, line: str) -> str:
         """Return the known word that a line begins with, "" for none."""
-        match = BEGINNING.match(line)
+        match = re.match(r"\s*([A-Z][A-Z-]*)\s*(?:[/$]|\Z)", line, re.I)
         word = match[1].upper() if match else ""
         return word if word in self.actions or word in SILENT or word in ADVICE or word in TEXTS else ""
 
@@ -171,7 +180,7 @@ class _AptReader(Machine):
             self.program.count(first)
         elif first in ADVICE:
             self.program.refuse(first, advice=ADVICE[first], lost=True)
-        elif WORD.fullmatch(word):
+        elif re.fullmatch(r"[A-Z][A-Z0-9 _-]*", word):
             self.program.refuse(word, f"{short(word)} is not supported", MILL, lost=True)
         else:
             self.program.refuse(statement, f"{short(statement)!r} is no APT statement", lost=True)
@@ -196,7 +205,8 @@ class _AptReader(Machine):
             self.program.name_feature(name)
 
     def _text(self, word: str, text: str, block: str) -> None:
-        if word == "INSERT" and INSERTED.search(block):
+        # a block of an INSERT that sets or moves
+        if word == "INSERT" and re.search(r"(?<![A-Z])[GXYZIJKRUVWABC]\s*[-+.]?[0-9]", block, re.I):
             self.program.refuse(word, f"INSERT {short(block.strip(' /'))!r} sets or moves", MOVES, lost=True)
             return
         self.program.count(word)
@@ -334,6 +344,9 @@ class _AptReader(Machine):
         depth, feed, unit, clear, step, or DEPTH, unit and feed, CLEAR, STEP, RETURN; RETURN,0 leads to the height
         before the cycle, as RTRCTO,AUTO of NX does. Without either the tool returns to the clear height.
         """
+        # word of CYCLE/ -> the distance that follows
+        distances = {"DEPTH": "depth", "FEDTO": "depth", "CLEAR": "clear", "RAPTO": "clear", "STEP": "step",
+                     "INCR": "step", "RETURN": "back", "RTRCTO": "back"}  # fmt: skip
         if self.holes:
             (self.feed_mode, self.feed), self.holes = self.feed_beside, {}
         self.cycle = None
@@ -347,7 +360,7 @@ class _AptReader(Machine):
                 kinds.append(value)
             elif value in FEEDS:
                 units.append(value)
-            elif name := DISTANCES.get(value):
+            elif name := distances.get(value):
                 number = next(rest, "")
                 if name in holes:
                     raise StatementError(f"CYCLE/ has two words for one distance, the second is {value}")
@@ -467,6 +480,7 @@ class _AptReader(Machine):
         self.rapid = False
 
     def _spindle(self, values: list[str]) -> None:
+        spindle_words = ("ON", "RPM", "CLW", "LOW", "MEDIUM", "HIGH", "AUTO")
         sense, speeds = 1, []
         rest = iter(values)
         for value in rest:
@@ -477,9 +491,9 @@ class _AptReader(Machine):
                 next(rest, "")
             elif value == "CCLW":
                 sense = -1
-            elif value[:1].isalpha() and value not in SPINDLE_WORDS:
+            elif value[:1].isalpha() and value not in spindle_words:
                 raise StatementError(f"SPINDL/{short(value)} is not supported (ON, OFF, a number, RPM, CLW, CCLW are)")
-            elif value not in SPINDLE_WORDS:
+            elif value not in spindle_words:
                 speeds.append(_number(value) * 2 * math.pi / 60)
                 if not 0 <= speeds[-1] <= 1e6:  # [rad/s]
                     raise StatementError(f"the spindle speed {short(value)} is out of range")
@@ -500,7 +514,7 @@ class _AptReader(Machine):
         """Count the compensation of the tool's length and the end of each; refuse all others."""
         side = {"LEFT", "RIGHT"} & set(values) or not {"OFF", "ADJUST", "LENGTH"} & set(values)
         if values and side:
-            self.program.refuse("CUTCOM", advice=CENTRE, lost=True)
+            self.program.refuse("CUTCOM", advice="let the CAM output the path of the tool's centre", lost=True)
         else:
             self.program.count("CUTCOM")
 
@@ -527,7 +541,8 @@ class _AptReader(Machine):
 
 def _without_numbers(lines: list[str]) -> list[str]:
     """Return the lines of punched cards without the rising numbers of their columns 73 to 80, other lines unchanged."""
-    cards = [CARD.fullmatch(line) for line in lines if line.strip()]
+    # columns 73 to 80 of a punched card number it
+    cards = [re.fullmatch(r".{72}\s{0,7}[A-Z]{0,5}([0-9]{1,8})\s*", line) for line in lines if line.strip()]
     numbers = [int(card[1]) for card in cards if card]
     rising = all(a < b for a, b in itertools.pairwise(numbers))
     return [line[:72] for line in lines] if len(numbers) == len(cards) > 1 and rising else lines

@@ -1,1 +1,0 @@
-"""APT source and CL text as Creo, NX and other CAM systems write it."""

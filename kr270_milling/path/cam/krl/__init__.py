@@ -1,1 +1,0 @@
-"""Robot programs in KRL as tool paths."""
