@@ -243,9 +243,10 @@ def _run(s, p, i, low, high, base, a, v0, m, ahead_x, ahead_y, below, sinks, beh
         lost = np.float64(work[LOST + n])
         if lost == 0.0:
             continue
-        row, top = edges.lost[p.front[np.uint64(work[SINE + n])]], np.uint64(shape.piece[np.uint64(work[FAR + n])])
-        z, end, b = np.float64(work[GOAL + n]), np.float64(work[END + n]), shape.piece[np.uint64(work[AT + n])]
-        each, b = lost / (end - z), min(np.uint64(b), top)
+        row, far = edges.lost[p.front[np.uint64(work[SINE + n])]], np.uint64(shape.piece[np.uint64(work[FAR + n])])
+        z, end, at = np.float64(work[GOAL + n]), np.float64(work[END + n]), work[AT + n]
+        at = np.uint64(shape.piece[np.uint64(min(at, max(work[FAR + n], most - one)))])
+        each, b, top = lost / (end - z), min(at, far), max(at, far)
         if top == last_piece and end > shape.edges[top]:
             start = max(z, shape.edges[top])
             edges.raised[p.front[np.uint64(work[SINE + n])]] += each * (end - start) * 0.5 * (end + start)
