@@ -200,9 +200,9 @@ def _run(s, p, i, low, high, base, a, v0, m, ahead_x, ahead_y, below, sinks, beh
         np.float32(sinks),
     )
     outer, sines, beyond = np.float32((r - RIM) * (r - RIM)), np.float32(0.5 * SINES), np.float32(BEYOND + 0.5 * SINES)
-    back = np.float32(-np.inf) if behind else zero
     moves = inverse > 0.0
     whole, side = (zero, most) if moves else (one, most - one)  # a way straight down has no side
+    still, reach = not moves, np.float32(r * r) if moves and behind else np.float32(np.inf)
     for n in range(RUN):
         v = v_ + np.float32(n)
         along = a_ * x_ + v * y_
@@ -220,9 +220,11 @@ def _run(s, p, i, low, high, base, a, v0, m, ahead_x, ahead_y, below, sinks, beh
         away, middle = along - gone, along - half * gone
         square = away * away + beside * beside
         work[AT + n] = min(math.sqrt(square) * entry_, most)
+        gone = min(max(along, zero), m_)  # at the nearest; what the tool leaves it has covered
         sides = abs(a_ - gone * x_) + abs(v_ + np.float32(n) - gone * y_)
+        square = (along - gone) * (along - gone) + beside * beside
         part = min(max(half * (r_ * r_ - square) / sides + half, zero), one)
-        work[PART + n] = part if square > outer else one
+        work[PART + n] = part if square > outer and (along > zero or still) else one
         # seen from the middle of the way on which the tool cuts this column
         sine = beyond + sines * (beside / (math.sqrt(middle * middle + beside * beside) + tiny))
         work[SINE + n] = sine if middle >= zero else sine + table
@@ -234,7 +236,9 @@ def _run(s, p, i, low, high, base, a, v0, m, ahead_x, ahead_y, below, sinks, beh
         work[GOAL + n] = shape.height[k] + (at - np.float32(k)) * (shape.height[k + np.uint64(1)] - shape.height[k])
     for n in range(RUN):
         goal = min(below_ + work[SHARE + n] * sinks_ - work[GOAL + n], deepest)
-        work[GOAL + n] = goal if work[ALONG + n] > back and first + n >= low and first + n <= high else -one
+        along, beside = work[ALONG + n], work[BESIDE + n]
+        meets = along > zero or (behind and along * along + beside * beside < reach)
+        work[GOAL + n] = goal if meets and first + n >= low and first + n <= high else -one
     lower_nodes(s, p, base, first)
     for n in range(RUN):
         level = below_ + half * work[SHARE + n] * sinks_
@@ -277,7 +281,7 @@ def _ramp_share(p, along, beside, m, slope, inverse, r, entry, below, sinks, bar
     if (
         away * away + beside * beside > outer
     ):  # the deepest place is where the tool comes to cover the node, or leaves it
-        half = math.sqrt(max(outer - beside * beside, 0.0))
+        half = math.sqrt(max(r * r - beside * beside, 0.0))
         share = min(max(share, (along - half) * inverse), max((along + half) * inverse, 0.0), 1.0)
     return share
 
