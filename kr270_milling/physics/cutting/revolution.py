@@ -44,7 +44,7 @@ from kr270_milling.physics.cutting.profile import ENTRIES, LEVEL, RUN
 from kr270_milling.physics.cutting.state import LEVEL_SUM
 from kr270_milling.physics.cutting.tilted import GOAL, LOST, PART, REST, SHARE, lower_nodes, lower_tilted
 
-ALONG, BESIDE, AT, SINE, FAR, END = (RUN * k for k in range(5, 11))  # further rows of ``EdgeBins.work``
+ALONG, BESIDE, AT, SINE, FAR, END, COVER, START = (RUN * k for k in range(5, 13))  # further rows of ``EdgeBins.work``
 ONE = np.uint64(1)
 MOST = 2.0  # share of a bin; the nodes of the map scatter it about 1
 
@@ -229,11 +229,19 @@ def _run(s, p, i, low, high, base, a, v0, m, ahead_x, ahead_y, below, sinks, beh
         sine = beyond + sines * (beside / (math.sqrt(middle * middle + beside * beside) + tiny))
         work[SINE + n] = sine if middle >= zero else sine + table
         far = along * along + beside * beside
+        work[START + n] = min(math.sqrt(far) * entry_, most)
+        sides = abs(a_) + abs(v_ + np.float32(n))
+        part = min(max(half * (r_ * r_ - far) / sides + half, zero), one)
+        work[COVER + n] = part if far > outer and along > zero else zero
         work[FAR + n] = min(math.sqrt(far) * entry_ if far < outer else most, side if middle >= zero else most - one)
     for n in range(RUN):
         at = work[AT + n]
         k = np.uint64(at)
         work[GOAL + n] = shape.height[k] + (at - np.float32(k)) * (shape.height[k + np.uint64(1)] - shape.height[k])
+    for n in range(RUN):
+        at = work[START + n]
+        k = np.uint64(at)
+        work[START + n] = shape.height[k] + (at - np.float32(k)) * (shape.height[k + np.uint64(1)] - shape.height[k])
     for n in range(RUN):
         goal = min(below_ + work[SHARE + n] * sinks_ - work[GOAL + n], deepest)
         along, beside = work[ALONG + n], work[BESIDE + n]
@@ -242,6 +250,7 @@ def _run(s, p, i, low, high, base, a, v0, m, ahead_x, ahead_y, below, sinks, beh
     lower_nodes(s, p, base, first)
     for n in range(RUN):
         level = below_ + half * work[SHARE + n] * sinks_
+        work[START + n] += half * work[SHARE + n] * sinks_
         work[END + n], work[GOAL + n] = level - work[REST + n], level - work[GOAL + n]
     for n in range(RUN):
         lost = np.float64(work[LOST + n])
@@ -250,18 +259,28 @@ def _run(s, p, i, low, high, base, a, v0, m, ahead_x, ahead_y, below, sinks, beh
         row, far = edges.lost[p.front[np.uint64(work[SINE + n])]], np.uint64(shape.piece[np.uint64(work[FAR + n])])
         z, end, at = np.float64(work[GOAL + n]), np.float64(work[END + n]), work[AT + n]
         at = np.uint64(shape.piece[np.uint64(min(at, max(work[FAR + n], most - one)))])
-        each, b, top = lost / (end - z), min(at, far), max(at, far)
+        # the rim covered a part of the cell before: above its height then, less is left
+        left = max(1.0 - np.float64(work[COVER + n] / work[PART + n]), 1e-3)
+        bend = min(max(np.float64(work[START + n]), z), end) if left < 1.0 else end
+        b, top, each = min(at, far), max(at, far), lost / (_filled(end, bend, left) - z)
         if top == last_piece and end > shape.edges[top]:
             start = max(z, shape.edges[top])
-            edges.raised[p.front[np.uint64(work[SINE + n])]] += each * (end - start) * 0.5 * (end + start)
-        while True:  # two pieces at once: few columns need a second round, which no processor predicts
-            first_edge = min(max(shape.edges[b + ONE], z), end) if b < top else end
-            second_edge = min(max(shape.edges[b + ONE + ONE], z), end) if b + ONE < top else end
-            row[b] += each * (first_edge - z)
-            row[b + ONE] += each * (second_edge - first_edge)
-            b, z = b + ONE + ONE, second_edge
-            if z >= end:
-                break
+            height = _filled(end, bend, left) - _filled(start, bend, left)
+            edges.raised[p.front[np.uint64(work[SINE + n])]] += each * height * 0.5 * (end + start)
+        below, lowest = z, z
+        while lowest < end:  # two pieces at once: few columns need a second round, which no processor predicts
+            first_edge = min(max(shape.edges[b + ONE], lowest), end) if b < top else end
+            lowest = min(max(shape.edges[b + ONE + ONE], lowest), end) if b + ONE < top else end
+            middle, above = _filled(first_edge, bend, left), _filled(lowest, bend, left)
+            row[b] += each * (middle - below)
+            row[b + ONE] += each * (above - middle)
+            b, below = b + ONE + ONE, above
+
+
+@inlined
+def _filled(height, bend, left):
+    """Return how much of a column is left below a height, of which a part ``left`` is left above ``bend``."""
+    return min(height, bend) + left * max(height - bend, 0.0)
 
 
 @inlined
