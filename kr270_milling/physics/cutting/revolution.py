@@ -219,19 +219,21 @@ def _run(s, p, i, low, high, base, a, v0, m, ahead_x, ahead_y, below, sinks, beh
         along, beside, gone = work[ALONG + n], work[BESIDE + n], work[SHARE + n] * m_
         away, middle = along - gone, along - half * gone
         square = away * away + beside * beside
-        work[AT + n] = min(math.sqrt(square) * entry_, most)
+        away = math.sqrt(square)
         gone = min(max(along, zero), m_)  # at the nearest; what the tool leaves it has covered
         sides = abs(a_ - gone * x_) + abs(v_ + np.float32(n) - gone * y_)
         square = (along - gone) * (along - gone) + beside * beside
         part = min(max(half * (r_ * r_ - square) / sides + half, zero), one)
-        work[PART + n] = part if square > outer and (along > zero or still) else one
+        part = part if square > outer and (along > zero or still) else one
+        work[PART + n] = part
+        work[AT + n] = min((away - half * (one - part) * sides / (away + tiny)) * entry_, most)
         # seen from the middle of the way on which the tool cuts this column
         sine = beyond + sines * (beside / (math.sqrt(middle * middle + beside * beside) + tiny))
         work[SINE + n] = sine if middle >= zero else sine + table
         far = along * along + beside * beside
-        work[START + n] = min(math.sqrt(far) * entry_, most)
-        sides = abs(a_) + abs(v_ + np.float32(n))
+        sides, away = abs(a_) + abs(v_ + np.float32(n)), math.sqrt(far)
         part = min(max(half * (r_ * r_ - far) / sides + half, zero), one)
+        work[START + n] = min((away - half * (one - part) * sides / (away + tiny)) * entry_, most)
         work[COVER + n] = part if far > outer and along > zero else zero
         work[FAR + n] = min(math.sqrt(far) * entry_ if far < outer else most, side if middle >= zero else most - one)
     for n in range(RUN):
