@@ -147,24 +147,32 @@ def _lower(s, p, x0, y0, m, ahead_x, ahead_y, below, sinks, behind):
     entry, most = ENTRIES / r, max(below, below + sinks)
     slope = -sinks / m if m > 1e-6 else 0.0  # rise of the tip [levels a node]
     inverse = 1.0 / m if m > 1e-6 else 0.0
-    start, stop = max(int(math.ceil(min(u0, u1) - r - RIM)), 0), min(int(math.floor(max(u0, u1) + r + RIM)), p.nx - 1)
-    for i in range(start, stop + 1):
+    low, high = 0, ENTRIES
+    while low < high:  # the tool is above the top of the stock where it is wider
+        middle = (low + high) // 2
+        low, high = (low, middle) if p.profile.height[middle] >= most - 0.5 else (middle + 1, high)
+    wide = min(low / entry, r + RIM) if low < ENTRIES else r + RIM
+    start, stop = min(u0, u1) - wide, max(u0, u1) + wide
+    if not behind and abs(ahead_y) < 1e-9:
+        start, stop = (max(start, u0), stop) if ahead_x > 0.0 else (start, min(stop, u0))
+    for i in range(max(int(math.ceil(start)), 0), min(int(math.floor(stop)), p.nx - 1) + 1):
         a, b = i - u0, i - u1
         near = min(abs(a), abs(b)) if a * b > 0.0 else 0.0
-        half = math.sqrt(max((r + RIM) ** 2 - near * near, 0.0))
-        low = max(int(math.ceil(min(v0, v1) - half)), 0)
-        high = min(int(math.floor(max(v0, v1) + half)), p.ny - 1)
+        half = math.sqrt(max(wide * wide - near * near, 0.0))
+        start, stop = min(v0, v1) - half, max(v0, v1) + half
+        if not behind and abs(ahead_y) >= 1e-9:  # what is ahead
+            side = v0 - a * ahead_x / ahead_y
+            start, stop = (max(start, side), stop) if ahead_y > 0.0 else (start, min(stop, side))
+        low, high = max(int(math.ceil(start)), 0), min(int(math.floor(stop)), p.ny - 1)
         first = low & ~(RUN - 1)
         while first <= high:
             j, first = max(first, low), first + RUN
             end = min(first - 1, high)
             middle = first - 0.5 * (RUN + 1) - v0
-            along = a * ahead_x + middle * ahead_y
-            if not behind and along + 0.5 * RUN * abs(ahead_y) <= 0.0:
-                continue
-            beside, beyond = a * ahead_y - middle * ahead_x, along - min(max(along, 0.0), m)
+            along, beside = a * ahead_x + middle * ahead_y, a * ahead_y - middle * ahead_x
+            beyond = along - min(max(along, 0.0), m)
             nearest = math.sqrt(beside * beside + beyond * beyond) - 0.5 * (RUN - 1)
-            if nearest > r + RIM:
+            if nearest > wide:
                 continue
             goal = most - p.profile.height[min(int(max(nearest, 0.0) * entry), ENTRIES)]
             slot = s.table[i >> 8, j >> 8]
