@@ -152,6 +152,7 @@ def _lower(s, p, x0, y0, m, ahead_x, ahead_y, below, sinks, behind):
         middle = (low + high) // 2
         low, high = (low, middle) if p.profile.height[middle] >= most - 0.5 else (middle + 1, high)
     wide = min(low / entry, r + RIM) if low < ENTRIES else r + RIM
+    rims = p.profile.height[int((r - RIM) * entry)] < most
     start, stop = min(u0, u1) - wide, max(u0, u1) + wide
     if not behind and abs(ahead_y) < 1e-9:
         start, stop = (max(start, u0), stop) if ahead_x > 0.0 else (start, min(stop, u0))
@@ -186,11 +187,13 @@ def _lower(s, p, x0, y0, m, ahead_x, ahead_y, below, sinks, behind):
             run = np.uint64((place + j) // RUN)
             if goal < s.edge.highest[run] + 0.5:
                 continue
-            _run(s, p, i, j, end, place, a, v0, m, ahead_x, ahead_y, below, sinks, behind, slope, inverse, r, entry)
+            beyond = max(abs(along), abs(along - m))
+            rim = rims and math.sqrt(beside * beside + beyond * beyond) + 0.5 * (RUN - 1) > r - RIM
+            _run(s, p, i, j, end, place, a, v0, m, ahead_x, ahead_y, below, sinks, behind, slope, inverse, r, entry, rim)
 
 
 @inlined
-def _run(s, p, i, low, high, base, a, v0, m, ahead_x, ahead_y, below, sinks, behind, slope, inverse, r, entry):
+def _run(s, p, i, low, high, base, a, v0, m, ahead_x, ahead_y, below, sinks, behind, slope, inverse, r, entry, rim):
     """Lower the nodes (i, low..high) of one run, and add what they lose to their bins.
 
     The loops over all nodes of the run have no branches, so that they become vector instructions.
@@ -226,32 +229,38 @@ def _run(s, p, i, low, high, base, a, v0, m, ahead_x, ahead_y, below, sinks, beh
     for n in range(RUN):
         along, beside, gone = work[ALONG + n], work[BESIDE + n], work[SHARE + n] * m_
         away, middle = along - gone, along - half * gone
-        square = away * away + beside * beside
-        away = math.sqrt(square)
-        gone = min(max(along, zero), m_)  # at the nearest; what the tool leaves it has covered
-        sides = abs(a_ - gone * x_) + abs(v_ + np.float32(n) - gone * y_)
-        square = (along - gone) * (along - gone) + beside * beside
-        part = min(max(half * (r_ * r_ - square) / sides + half, zero), one)
-        part = part if square > outer and (along > zero or still) else one
-        work[PART + n] = part
-        work[AT + n] = min((away - half * (one - part) * sides / (away + tiny)) * entry_, most)
+        work[AT + n] = min(math.sqrt(away * away + beside * beside) * entry_, most)
         # seen from the middle of the way on which the tool cuts this column
         sine = beyond + sines * (beside / (math.sqrt(middle * middle + beside * beside) + tiny))
         work[SINE + n] = sine if middle >= zero else sine + table
         far = along * along + beside * beside
-        sides, away = abs(a_) + abs(v_ + np.float32(n)), math.sqrt(far)
-        part = min(max(half * (r_ * r_ - far) / sides + half, zero), one)
-        work[START + n] = min((away - half * (one - part) * sides / (away + tiny)) * entry_, most)
-        work[COVER + n] = part if far > outer and along > zero else zero
         work[FAR + n] = min(math.sqrt(far) * entry_ if far < outer else most, side if middle >= zero else most - one)
+        work[PART + n] = one
+    if rim:
+        for n in range(RUN):
+            along, beside, gone = work[ALONG + n], work[BESIDE + n], work[SHARE + n] * m_
+            away = math.sqrt((along - gone) * (along - gone) + beside * beside)
+            gone = min(max(along, zero), m_)  # at the nearest; what the tool leaves it has covered
+            sides = abs(a_ - gone * x_) + abs(v_ + np.float32(n) - gone * y_)
+            square = (along - gone) * (along - gone) + beside * beside
+            part = min(max(half * (r_ * r_ - square) / sides + half, zero), one)
+            part = part if square > outer and (along > zero or still) else one
+            work[PART + n] = part
+            work[AT + n] = min((away - half * (one - part) * sides / (away + tiny)) * entry_, most)
+            far = along * along + beside * beside
+            sides, away = abs(a_) + abs(v_ + np.float32(n)), math.sqrt(far)
+            part = min(max(half * (r_ * r_ - far) / sides + half, zero), one)
+            work[START + n] = min((away - half * (one - part) * sides / (away + tiny)) * entry_, most)
+            work[COVER + n] = part if far > outer and along > zero else zero
+        for n in range(RUN):
+            at = work[START + n]
+            k = np.uint64(at)
+            height = shape.height[k] + (at - np.float32(k)) * (shape.height[k + np.uint64(1)] - shape.height[k])
+            work[START + n] = height + half * work[SHARE + n] * sinks_
     for n in range(RUN):
         at = work[AT + n]
         k = np.uint64(at)
         work[GOAL + n] = shape.height[k] + (at - np.float32(k)) * (shape.height[k + np.uint64(1)] - shape.height[k])
-    for n in range(RUN):
-        at = work[START + n]
-        k = np.uint64(at)
-        work[START + n] = shape.height[k] + (at - np.float32(k)) * (shape.height[k + np.uint64(1)] - shape.height[k])
     for n in range(RUN):
         goal = min(below_ + work[SHARE + n] * sinks_ - work[GOAL + n], deepest)
         along, beside = work[ALONG + n], work[BESIDE + n]
@@ -260,7 +269,6 @@ def _run(s, p, i, low, high, base, a, v0, m, ahead_x, ahead_y, below, sinks, beh
     lower_nodes(s, p, base, first)
     for n in range(RUN):
         level = below_ + half * work[SHARE + n] * sinks_
-        work[START + n] += half * work[SHARE + n] * sinks_
         work[END + n], work[GOAL + n] = level - work[REST + n], level - work[GOAL + n]
     for n in range(RUN):
         lost = np.float64(work[LOST + n])
@@ -269,9 +277,10 @@ def _run(s, p, i, low, high, base, a, v0, m, ahead_x, ahead_y, below, sinks, beh
         row, far = edges.lost[p.front[np.uint64(work[SINE + n])]], np.uint64(shape.piece[np.uint64(work[FAR + n])])
         z, end, at = np.float64(work[GOAL + n]), np.float64(work[END + n]), work[AT + n]
         at = np.uint64(shape.piece[np.uint64(min(at, max(work[FAR + n], most - one)))])
-        # the rim covered a part of the cell before: above its height then, less is left
-        left = max(1.0 - np.float64(work[COVER + n] / work[PART + n]), 1e-3)
-        bend = min(max(np.float64(work[START + n]), z), end) if left < 1.0 else end
+        left, bend = 1.0, end
+        if rim and work[COVER + n] > zero:  # above the height at which the rim covered a part before, less is left
+            left = max(1.0 - np.float64(work[COVER + n] / work[PART + n]), 1e-3)
+            bend = min(max(np.float64(work[START + n]), z), end)
         b, top, each = min(at, far), max(at, far), lost / (_filled(end, bend, left) - z)
         if top == last_piece and end > shape.edges[top]:
             start = max(z, shape.edges[top])
