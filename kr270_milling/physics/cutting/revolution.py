@@ -199,7 +199,7 @@ def _run(s, p, i, low, high, base, a, v0, m, ahead_x, ahead_y, below, sinks, beh
     The loops over all nodes of the run have no branches, so that they become vector instructions.
     """
     shape, edges, first = p.profile, s.edge, low & ~(RUN - 1)
-    last_piece, work = np.uint64(shape.length.size - 1), edges.work
+    work = edges.work
     zero, one, half, tiny = np.float32(0), np.float32(1), np.float32(0.5), np.float32(1e-9)
     most, deepest, table = np.float32(ENTRIES), np.float32(LEVELS), np.float32(SINES + 2 * BEYOND)
     a_, v_, m_, x_, y_ = np.float32(a), np.float32(first - v0), np.float32(m), np.float32(ahead_x), np.float32(ahead_y)
@@ -274,32 +274,34 @@ def _run(s, p, i, low, high, base, a, v0, m, ahead_x, ahead_y, below, sinks, beh
         lost = np.float64(work[LOST + n])
         if lost == 0.0:
             continue
-        row, far = edges.lost[p.front[np.uint64(work[SINE + n])]], np.uint64(shape.piece[np.uint64(work[FAR + n])])
+        angle, far = p.front[np.uint64(work[SINE + n])], np.uint64(shape.piece[np.uint64(work[FAR + n])])
         z, end, at = np.float64(work[GOAL + n]), np.float64(work[END + n]), work[AT + n]
         at = np.uint64(shape.piece[np.uint64(min(at, max(work[FAR + n], most - one)))])
-        left, bend = 1.0, end
+        b, top = min(at, far), max(at, far)
         if rim and work[COVER + n] > zero:  # above the height at which the rim covered a part before, less is left
             left = max(1.0 - np.float64(work[COVER + n] / work[PART + n]), 1e-3)
             bend = min(max(np.float64(work[START + n]), z), end)
-        b, top, each = min(at, far), max(at, far), lost / (_filled(end, bend, left) - z)
-        if top == last_piece and end > shape.edges[top]:
-            start = max(z, shape.edges[top])
-            height = _filled(end, bend, left) - _filled(start, bend, left)
-            edges.raised[p.front[np.uint64(work[SINE + n])]] += each * height * 0.5 * (end + start)
-        below, lowest = z, z
-        while lowest < end:  # two pieces at once: few columns need a second round, which no processor predicts
-            first_edge = min(max(shape.edges[b + ONE], lowest), end) if b < top else end
-            lowest = min(max(shape.edges[b + ONE + ONE], lowest), end) if b + ONE < top else end
-            middle, above = _filled(first_edge, bend, left), _filled(lowest, bend, left)
-            row[b] += each * (middle - below)
-            row[b + ONE] += each * (above - middle)
-            b, below = b + ONE + ONE, above
+            each = lost / (bend - z + left * (end - bend))
+            _fill(shape, edges, angle, b, top, bend, end, each * left)
+            end = bend
+        else:
+            each = lost / (end - z)
+        _fill(shape, edges, angle, b, top, z, end, each)
 
 
 @inlined
-def _filled(height, bend, left):
-    """Return how much of a column is left below a height, of which a part ``left`` is left above ``bend``."""
-    return min(height, bend) + left * max(height - bend, 0.0)
+def _fill(shape, edges, angle, b, top, z, end, each):
+    """Add ``each`` level of a column from z to ``end`` [levels] to the pieces b to ``top`` of an angle."""
+    row = edges.lost[angle]
+    if top == np.uint64(shape.length.size - 1) and end > shape.edges[top]:
+        start = max(z, shape.edges[top])
+        edges.raised[angle] += each * (end - start) * 0.5 * (end + start)
+    while z < end:  # two pieces at once: few columns need a second round, which no processor predicts
+        middle = min(max(shape.edges[b + ONE], z), end) if b < top else end
+        above = min(max(shape.edges[b + ONE + ONE], z), end) if b + ONE < top else end
+        row[b] += each * (middle - z)
+        row[b + ONE] += each * (above - middle)
+        b, z = b + ONE + ONE, above
 
 
 @inlined
