@@ -124,7 +124,7 @@ def profile_of(tool: Tool, stock: Stock) -> tuple[Profile, float, float]:
     width = 0.05
 
     def widest(k: int) -> float:
-        return min(width, max(stock.grid_step, (1.0 if straight[k] else 5.0) * width * fine_points[k, 0]) / radius)
+        return min(width, max(1.2 * stock.grid_step, (1.0 if straight[k] else 5.0) * width * fine_points[k, 0]) / radius)
 
     for before, after in zip(points, points[1:], strict=False):
         wide, high = np.abs(after - before) / radius

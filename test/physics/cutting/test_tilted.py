@@ -53,7 +53,7 @@ def test_the_mean_force_is_that_of_the_quadrature_within_two_percent(name, tilt)
     [
         ("ball", "lead 15", 3, 0.01),
         ("bull", "lead 15", 20, 0.01),
-        ("ball", "lean 45", 90, 0.015),
+        ("ball", "lean 45", 90, 0.01),
         ("flat", "lean 15", 90, 0.015),
         ("bull", "lean 15", 90, 0.015),
         ("taper", "lean 45", 90, 0.01),
