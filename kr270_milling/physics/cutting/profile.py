@@ -117,29 +117,26 @@ def profile_of(tool: Tool, stock: Stock) -> tuple[Profile, float, float]:
     A piece turns by at most ``turn`` and is at most ``width`` wide and 4 high.
     """
     points = outline(tool)
-    radius, fine, straight = float(points[-1, 0]), [points[:1]], []
+    radius, fine = float(points[-1, 0]), [points[:1]]
     turn = math.radians(3.0)  # of the edge within a piece
     # of a piece, as a share of the radius: the tip of a ball meets several in a shallow cut. At the axis, where most of
     # the volume of a piece is far from the axis, pieces are narrower, those of a line most of all
-    width = 0.05
-
-    def widest(k: int) -> float:
-        return min(width, max(1.2 * stock.grid_step, (1.0 if straight[k] else 5.0) * width * fine_points[k, 0]) / radius)
-
+    width, growth = 0.05, np.zeros(0)
     for before, after in zip(points, points[1:], strict=False):
         wide, high = np.abs(after - before) / radius
         count = max(1, math.ceil(wide / width - 1e-9), math.ceil(high / (4.0 * width) - 1e-9))
         count *= 5 if count > 1 else 1
-        straight += [count > 1] * count
+        growth = np.append(growth, np.full(count, width if count > 1 else 5.0 * width))
         fine.append(before + np.arange(1, count + 1)[:, None] / count * (after - before))
     fine_points = np.vstack(fine)
+    widest = np.clip(growth * fine_points[:-1, 0] / radius, 1.2 * stock.grid_step / radius, width)
     step = np.diff(fine_points, axis=0)
     kappa = np.arctan2(step[:, 1], step[:, 0])
     first = [0]
     for k in range(1, len(step)):
         size = (fine_points[k + 1] - fine_points[first[-1]]) / radius
         bent = abs(kappa[k] - kappa[first[-1]]) > (turn if kappa[first[-1]] else 0.0)
-        if bent or size[0] > 1.001 * widest(first[-1]) or size[1] > 4.004 * width:
+        if bent or size[0] > 1.001 * widest[first[-1]] or size[1] > 4.004 * width:
             first.append(k)
     length, middle = np.hypot(*step.T), 0.5 * (fine_points[1:] + fine_points[:-1])
     total = np.add.reduceat(length, first)

@@ -14,6 +14,9 @@ move d of the tip, P passes of a tooth, N teeth and the mean < > over a bin:
 F_t, F_r, F_a per length of the edge, t the direction of the tooth, b along the edge towards the tip. The lever of the
 torque is <r (d.n)> / <d.n>; with F_t = K h the torque times the speed is therefore K dV/dt for every shape.
 
+A cell that the rim covers in part has the height of the middle of its covered part. Above the height that the rim had
+there before the step, only the rest of the cell is left. The rim of a sinking tool leaves a node with its middle.
+
 Where no piece of an angle moves into the material, its volume has the chip of the whole move and so little edge. A bin
 that loses more than MOST of its volume lies beside the line d.n = 0, where nodes fall into a wrong bin, or below
 a flat end that sank by a level of the map at once. Its chip is then thicker, and the volume stays.
@@ -189,17 +192,18 @@ def _lower(s, p, x0, y0, m, ahead_x, ahead_y, below, sinks, behind):
                 continue
             beyond = max(abs(along), abs(along - m))
             rim = rims and math.sqrt(beside * beside + beyond * beyond) + 0.5 * (RUN - 1) > r - RIM
-            _run(s, p, i, j, end, place, a, v0, m, ahead_x, ahead_y, below, sinks, behind, slope, inverse, r, entry, rim)
+            step = (m, ahead_x, ahead_y, below, sinks, behind, slope, inverse, r, entry, rim)
+            _run(s, p, i, j, end, place, a, v0, step)
 
 
 @inlined
-def _run(s, p, i, low, high, base, a, v0, m, ahead_x, ahead_y, below, sinks, behind, slope, inverse, r, entry, rim):
+def _run(s, p, i, low, high, base, a, v0, step):
     """Lower the nodes (i, low..high) of one run, and add what they lose to their bins.
 
     The loops over all nodes of the run have no branches, so that they become vector instructions.
     """
-    shape, edges, first = p.profile, s.edge, low & ~(RUN - 1)
-    work = edges.work
+    m, ahead_x, ahead_y, below, sinks, behind, slope, inverse, r, entry, rim = step
+    shape, edges, work, first = p.profile, s.edge, s.edge.work, low & ~(RUN - 1)
     zero, one, half, tiny = np.float32(0), np.float32(1), np.float32(0.5), np.float32(1e-9)
     most, deepest, table = np.float32(ENTRIES), np.float32(LEVELS), np.float32(SINES + 2 * BEYOND)
     a_, v_, m_, x_, y_ = np.float32(a), np.float32(first - v0), np.float32(m), np.float32(ahead_x), np.float32(ahead_y)
@@ -318,9 +322,7 @@ def _ramp_share(p, along, beside, m, slope, inverse, r, entry, below, sinks, bar
             lead = _lead(p, slope, beside, r, entry)
         share = min(max((along - lead) * inverse, 0.0), 1.0)
     away, outer = along - share * m, (r - RIM) * (r - RIM)
-    if (
-        away * away + beside * beside > outer
-    ):  # the deepest place is where the tool comes to cover the node, or leaves it
+    if away * away + beside * beside > outer:  # deepest where the rim comes to cover the node, or leaves it
         half = math.sqrt(max(r * r - beside * beside, 0.0))
         share = min(max(share, (along - half) * inverse), max((along + half) * inverse, 0.0), 1.0)
     return share
