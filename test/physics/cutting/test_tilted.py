@@ -168,7 +168,8 @@ STRIPS = {
     ("flat", "lean 45"): 0.033,
     ("bull", "lean 45"): 0.028,
     ("taper", "lean 15"): 0.034,
-    ("taper", "lean 45"): 0.037,
+    ("taper", "lean 45"): 0.029,
+    ("ball", "lead 45"): 0.024,
 }
 
 
