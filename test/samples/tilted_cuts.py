@@ -34,50 +34,52 @@ def axis_of(tilt) -> np.ndarray:
     return np.array([math.sin(lead), math.cos(lead) * math.sin(lean), math.cos(lead) * math.cos(lean)])
 
 
-def edge(tool: Tool) -> np.ndarray:
-    """Radius, height, kappa and length [m], [rad] of small pieces of the edge, and of 15 mm of the cylinder, (4, n)."""
+def edge(tool: Tool, sigma=None) -> tuple[np.ndarray, ...]:
+    """Radius, height, kappa and length [m], [rad] of small pieces of the edge, and of 15 mm of the cylinder.
+
+    sigma: their middles, at equal distances along the edge [m].
+    """
     corner = {"ball": RADIUS, "bull_nose": tool.corner_radius}.get(tool.type, 0.0)
     taper = tool.taper if tool.type == "tapered" else 0.0
     tip = tool.tip_diameter / 2 if taper else RADIUS - corner
-    rows = []
-
-    def straight(radius: float, height: float, kappa: float, length: float) -> None:
-        along, piece = np.linspace(0.0, length, max(4, int(length / 5e-6)), endpoint=False, retstep=True)
-        along = along + piece / 2
-        rows.append([radius + along * math.cos(kappa), height + along * math.sin(kappa), kappa + 0 * along,
-                     piece + 0 * along])  # fmt: skip
-
-    straight(0.0, 0.0, 0.0, tip)
-    pieces = max(4, int(corner * math.pi / 2 / 5e-6))
-    kappa, turn = np.linspace(0.0, math.pi / 2, pieces, endpoint=False, retstep=True)
-    kappa = kappa + turn / 2
-    rows.append([tip + corner * np.sin(kappa), corner * (1 - np.cos(kappa)), kappa, corner * turn + 0 * kappa])
-    top = (RADIUS - tip) / math.tan(taper) if taper else corner
-    straight(tip, 0.0, math.pi / 2 - taper, math.hypot(top, RADIUS - tip) if taper else 0.0)
-    straight(RADIUS, top, math.pi / 2, 15e-3)
-    table = np.hstack(rows)
-    return table[:, table[3] > 0.0]
+    lengths = [tip, corner * math.pi / 2, (RADIUS - tip) / math.sin(taper) if taper else 0.0, 15e-3]
+    if sigma is None:
+        sigma = (np.arange(2000) + 0.5) * sum(lengths) / 2000
+    starts = np.cumsum([0.0, *lengths[:-1]])
+    end, arc, cone, side = (np.clip(sigma - start, 0.0, length) for start, length in zip(starts, lengths, strict=True))
+    turn = arc / max(corner, 1e-12)
+    kappa = np.where(side > 0.0, math.pi / 2, np.where(cone > 0.0, math.pi / 2 - taper, turn))
+    r = end + corner * np.sin(turn) + cone * math.sin(taper)
+    h = corner * (1.0 - np.cos(turn)) + cone * math.cos(taper) + side
+    return r, h, kappa, np.full(sigma.size, sigma[1] - sigma[0])
 
 
-def quadrature(tool: Tool, cutting: Cutting, axis, move, passes: float, top: float, inside):
+def quadrature(tool: Tool, cutting: Cutting, axis, move, passes: float, inside, turns: int = 1000):
     """Mean force (3,) [N] and torque [N m]; inside(points) [m]: whether places from the tip are in the stock.
 
-    top [m]: of the stock above the tip.
+    The places are ``turns`` angles of as many pieces of the edge, in a box about the places that cut. A strip of 5 %
+    is some 0.5 mm of the edge: pieces of a fixed length of 5 um had 0.8 % too little of such a strip.
     """
-    pieces = edge(tool)
-    below = pieces[1] * axis[2] - pieces[0] * math.hypot(*axis[:2]) < top
-    r, h, kappa, length = pieces[:, below, None]
-    ahead = np.array([1.0, 0.0, 0.0]) - axis[0] * axis
-    ahead = ahead / np.linalg.norm(ahead)
+    ahead = move - np.dot(move, axis) * axis
+    ahead = ahead / np.linalg.norm(ahead) if np.linalg.norm(ahead) > 1e-12 else np.array([axis[2], 0.0, -axis[0]])
     side = np.cross(axis, ahead)
-    phi = ((np.arange(720) + 0.5) / 720 * 2.0 - 1.0) * math.pi
-    out = np.cos(phi)[:, None] * ahead + np.sin(phi)[:, None] * side
-    normal = np.sin(kappa)[..., None] * out - np.cos(kappa)[..., None] * axis
-    feed = normal @ move
-    cuts = (feed > 1e-12) & inside(r[..., None] * out + h[..., None] * axis)
+    low, high = np.array([0.0, -math.pi]), np.array([edge(tool)[3].sum(), math.pi])
+    for _ in range(3):
+        sigma, phi = (a + (np.arange(turns) + 0.5) / turns * (b - a) for a, b in zip(low, high, strict=True))
+        r, h, kappa, length = (column[:, None] for column in edge(tool, sigma))
+        out = np.cos(phi)[:, None] * ahead + np.sin(phi)[:, None] * side
+        normal = np.sin(kappa)[..., None] * out - np.cos(kappa)[..., None] * axis
+        feed = normal @ move
+        cuts = (feed > 1e-12) & inside(r[..., None] * out + h[..., None] * axis)
+        met = [np.flatnonzero(cuts.any(axis=1 - k)) for k in range(2)]
+        width = (high - low) / turns
+        low, high = (
+            np.maximum([low[k] + (met[k][0] - 1) * width[k] for k in range(2)], low),
+            np.minimum([low[k] + (met[k][-1] + 2) * width[k] for k in range(2)], high),
+        )
     f_t, f_r, f_a = np.where(cuts, cutting.active.per_depth(np.where(cuts, feed, 1e-9) / passes), 0.0)
     f_a = np.where(kappa == 0.0, 0.0, f_a)  # the force along an end edge is left out
-    weight = TEETH / phi.size * length
+    weight = TEETH / (2.0 * math.pi) * (phi[1] - phi[0]) * length
     along = -np.cos(kappa)[..., None] * out - np.sin(kappa)[..., None] * axis  # towards the tip
     tooth = tool.sense * np.cross(axis, out)
     force = -f_t[..., None] * tooth - f_r[..., None] * normal + f_a[..., None] * along
@@ -93,7 +95,7 @@ def lowest(tool: Tool, axis) -> float:
 def swept_widths(tool: Tool, depth: float, tilt) -> tuple[float, float]:
     """Return the least and largest y that a tool cuts below the top on its way along x [m], on the nodes of the map."""
     axis = axis_of(tilt)
-    r, h, *_ = edge(tool)[:, :, None]
+    r, h = (column[:, None] for column in edge(tool)[:2])
     phi = np.linspace(-math.pi, math.pi, 721)
     first = np.array([axis[2], 0.0, -axis[0]]) / math.hypot(axis[0], axis[2])
     second = np.cross(axis, first)
@@ -120,7 +122,7 @@ def measured(tool: Tool, cutting: Cutting, tilt, sides, depth=2e-3, dt=4e-3, gri
         return (places[..., 2] + z < 0.0) & (places[..., 1] > sides[0]) & (places[..., 1] < sides[1])
 
     passes = n * MICRO_STEP * TEETH / (2 * math.pi)
-    exact = quadrature(tool, cutting, axis, np.array([step, 0.0, 0.0]), passes, -z, inside)
+    exact = quadrature(tool, cutting, axis, np.array([step, 0.0, 0.0]), passes, inside)
     return (wrench[chosen, :3].mean(axis=0), torque[chosen].mean()), exact
 
 
@@ -146,7 +148,7 @@ def ramp_error(tool: Tool, cutting: Cutting, tilt, slope: float, dt=4e-3) -> flo
             return (places[..., 2] + z < 0.0) & (np.abs(places[..., 1]) < side)
 
         passes = n * MICRO_STEP * TEETH / (2 * math.pi)
-        exact.append(quadrature(tool, cutting, axis, step, passes, -tip[2], inside)[0])
+        exact.append(quadrature(tool, cutting, axis, step, passes, inside, turns=360)[0])
     force, mean = wrench[chosen, :3].mean(axis=0), np.mean(exact, axis=0)
     return float(np.abs(force - mean).max() / np.linalg.norm(mean))
 

@@ -232,8 +232,8 @@ def make_engagement_state(p: EngagementParams, stock: Stock) -> EngagementState:
             np.zeros(nodes // RUN + 1, np.uint16),
             lost,
             np.zeros(2 * bins),
-            np.zeros(11 * RUN, np.float32),
-            np.zeros(11 * RUN),
+            np.zeros(13 * RUN, np.float32),
+            np.zeros(12 * RUN),
         )
     ints = np.zeros(INTS, np.int64)
     ints[FLOOR_LEVEL] = -1

@@ -52,7 +52,7 @@ class EdgeBins(NamedTuple):
     lost: np.ndarray  # (bins, n + 1): levels removed in the present step, by angle and piece
     raised: np.ndarray  # (bins,): those of the cylinder times their height above the tip [levels]
     work: np.ndarray  # float32, (11 RUN,): scratch of the nodes of a run
-    place: np.ndarray  # (11 RUN,), the same: from the tip [m]
+    place: np.ndarray  # (12 RUN,), the same: from the tip [m]
 
 
 def edge_parts(tool: Tool) -> np.ndarray:
@@ -119,19 +119,24 @@ def profile_of(tool: Tool, stock: Stock) -> tuple[Profile, float, float]:
     points = outline(tool)
     radius, fine = float(points[-1, 0]), [points[:1]]
     turn = math.radians(3.0)  # of the edge within a piece
-    # of a piece across the axis, as a share of the radius: the tip of a ball meets several in a shallow cut
-    width = 0.05
+    # of a piece, as a share of the radius: the tip of a ball meets several in a shallow cut. At the axis, where most of
+    # the volume of a piece is far from the axis, pieces are narrower, those of a line most of all
+    width, growth = 0.05, np.zeros(0)
     for before, after in zip(points, points[1:], strict=False):
         wide, high = np.abs(after - before) / radius
         count = max(1, math.ceil(wide / width - 1e-9), math.ceil(high / (4.0 * width) - 1e-9))
+        count *= 5 if count > 1 else 1
+        growth = np.append(growth, np.full(count, width if count > 1 else 5.0 * width))
         fine.append(before + np.arange(1, count + 1)[:, None] / count * (after - before))
     fine_points = np.vstack(fine)
+    widest = np.clip(growth * fine_points[:-1, 0] / radius, 1.2 * stock.grid_step / radius, width)
     step = np.diff(fine_points, axis=0)
     kappa = np.arctan2(step[:, 1], step[:, 0])
     first = [0]
     for k in range(1, len(step)):
         size = (fine_points[k + 1] - fine_points[first[-1]]) / radius
-        if abs(kappa[k] - kappa[first[-1]]) > turn or size[0] > 1.001 * width or size[1] > 4.004 * width:
+        bent = abs(kappa[k] - kappa[first[-1]]) > (turn if kappa[first[-1]] else 0.0)
+        if bent or size[0] > 1.001 * widest[first[-1]] or size[1] > 4.004 * width:
             first.append(k)
     length, middle = np.hypot(*step.T), 0.5 * (fine_points[1:] + fine_points[:-1])
     total = np.add.reduceat(length, first)

@@ -14,6 +14,9 @@ move d of the tip, P passes of a tooth, N teeth and the mean < > over a bin:
 F_t, F_r, F_a per length of the edge, t the direction of the tooth, b along the edge towards the tip. The lever of the
 torque is <r (d.n)> / <d.n>; with F_t = K h the torque times the speed is therefore K dV/dt for every shape.
 
+A cell that the rim covers in part has the height of the middle of its covered part. Above the height that the rim had
+there before the step, only the rest of the cell is left. The rim of a sinking tool leaves a node with its middle.
+
 Where no piece of an angle moves into the material, its volume has the chip of the whole move and so little edge. A bin
 that loses more than MOST of its volume lies beside the line d.n = 0, where nodes fall into a wrong bin, or below
 a flat end that sank by a level of the map at once. Its chip is then thicker, and the volume stays.
@@ -44,7 +47,7 @@ from kr270_milling.physics.cutting.profile import ENTRIES, LEVEL, RUN
 from kr270_milling.physics.cutting.state import LEVEL_SUM
 from kr270_milling.physics.cutting.tilted import GOAL, LOST, PART, REST, SHARE, lower_nodes, lower_tilted
 
-ALONG, BESIDE, AT, SINE, FAR, END = (RUN * k for k in range(5, 11))  # further rows of ``EdgeBins.work``
+ALONG, BESIDE, AT, SINE, FAR, END, COVER, START = (RUN * k for k in range(5, 13))  # further rows of ``EdgeBins.work``
 ONE = np.uint64(1)
 MOST = 2.0  # share of a bin; the nodes of the map scatter it about 1
 
@@ -147,24 +150,33 @@ def _lower(s, p, x0, y0, m, ahead_x, ahead_y, below, sinks, behind):
     entry, most = ENTRIES / r, max(below, below + sinks)
     slope = -sinks / m if m > 1e-6 else 0.0  # rise of the tip [levels a node]
     inverse = 1.0 / m if m > 1e-6 else 0.0
-    start, stop = max(int(math.ceil(min(u0, u1) - r - RIM)), 0), min(int(math.floor(max(u0, u1) + r + RIM)), p.nx - 1)
-    for i in range(start, stop + 1):
+    low, high = 0, ENTRIES
+    while low < high:  # the tool is above the top of the stock where it is wider
+        middle = (low + high) // 2
+        low, high = (low, middle) if p.profile.height[middle] >= most - 0.5 else (middle + 1, high)
+    wide = min(low / entry, r + RIM) if low < ENTRIES else r + RIM
+    rims = p.profile.height[int((r - RIM) * entry)] < most
+    start, stop = min(u0, u1) - wide, max(u0, u1) + wide
+    if not behind and abs(ahead_y) < 1e-9:
+        start, stop = (max(start, u0), stop) if ahead_x > 0.0 else (start, min(stop, u0))
+    for i in range(max(int(math.ceil(start)), 0), min(int(math.floor(stop)), p.nx - 1) + 1):
         a, b = i - u0, i - u1
         near = min(abs(a), abs(b)) if a * b > 0.0 else 0.0
-        half = math.sqrt(max((r + RIM) ** 2 - near * near, 0.0))
-        low = max(int(math.ceil(min(v0, v1) - half)), 0)
-        high = min(int(math.floor(max(v0, v1) + half)), p.ny - 1)
+        half = math.sqrt(max(wide * wide - near * near, 0.0))
+        start, stop = min(v0, v1) - half, max(v0, v1) + half
+        if not behind and abs(ahead_y) >= 1e-9:  # what is ahead
+            side = v0 - a * ahead_x / ahead_y
+            start, stop = (max(start, side), stop) if ahead_y > 0.0 else (start, min(stop, side))
+        low, high = max(int(math.ceil(start)), 0), min(int(math.floor(stop)), p.ny - 1)
         first = low & ~(RUN - 1)
         while first <= high:
             j, first = max(first, low), first + RUN
             end = min(first - 1, high)
             middle = first - 0.5 * (RUN + 1) - v0
-            along = a * ahead_x + middle * ahead_y
-            if not behind and along + 0.5 * RUN * abs(ahead_y) <= 0.0:
-                continue
-            beside, beyond = a * ahead_y - middle * ahead_x, along - min(max(along, 0.0), m)
+            along, beside = a * ahead_x + middle * ahead_y, a * ahead_y - middle * ahead_x
+            beyond = along - min(max(along, 0.0), m)
             nearest = math.sqrt(beside * beside + beyond * beyond) - 0.5 * (RUN - 1)
-            if nearest > r + RIM:
+            if nearest > wide:
                 continue
             goal = most - p.profile.height[min(int(max(nearest, 0.0) * entry), ENTRIES)]
             slot = s.table[i >> 8, j >> 8]
@@ -178,17 +190,20 @@ def _lower(s, p, x0, y0, m, ahead_x, ahead_y, below, sinks, behind):
             run = np.uint64((place + j) // RUN)
             if goal < s.edge.highest[run] + 0.5:
                 continue
-            _run(s, p, i, j, end, place, a, v0, m, ahead_x, ahead_y, below, sinks, behind, slope, inverse, r, entry)
+            beyond = max(abs(along), abs(along - m))
+            rim = rims and math.sqrt(beside * beside + beyond * beyond) + 0.5 * (RUN - 1) > r - RIM
+            step = (m, ahead_x, ahead_y, below, sinks, behind, slope, inverse, r, entry, rim)
+            _run(s, p, i, j, end, place, a, v0, step)
 
 
 @inlined
-def _run(s, p, i, low, high, base, a, v0, m, ahead_x, ahead_y, below, sinks, behind, slope, inverse, r, entry):
+def _run(s, p, i, low, high, base, a, v0, step):
     """Lower the nodes (i, low..high) of one run, and add what they lose to their bins.
 
     The loops over all nodes of the run have no branches, so that they become vector instructions.
     """
-    shape, edges, first = p.profile, s.edge, low & ~(RUN - 1)
-    last_piece, work = np.uint64(shape.length.size - 1), edges.work
+    m, ahead_x, ahead_y, below, sinks, behind, slope, inverse, r, entry, rim = step
+    shape, edges, work, first = p.profile, s.edge, s.edge.work, low & ~(RUN - 1)
     zero, one, half, tiny = np.float32(0), np.float32(1), np.float32(0.5), np.float32(1e-9)
     most, deepest, table = np.float32(ENTRIES), np.float32(LEVELS), np.float32(SINES + 2 * BEYOND)
     a_, v_, m_, x_, y_ = np.float32(a), np.float32(first - v0), np.float32(m), np.float32(ahead_x), np.float32(ahead_y)
@@ -200,9 +215,9 @@ def _run(s, p, i, low, high, base, a, v0, m, ahead_x, ahead_y, below, sinks, beh
         np.float32(sinks),
     )
     outer, sines, beyond = np.float32((r - RIM) * (r - RIM)), np.float32(0.5 * SINES), np.float32(BEYOND + 0.5 * SINES)
-    back = np.float32(-np.inf) if behind else zero
     moves = inverse > 0.0
     whole, side = (zero, most) if moves else (one, most - one)  # a way straight down has no side
+    still, reach = not moves, np.float32(r * r) if moves and behind else np.float32(np.inf)
     for n in range(RUN):
         v = v_ + np.float32(n)
         along = a_ * x_ + v * y_
@@ -218,23 +233,43 @@ def _run(s, p, i, low, high, base, a, v0, m, ahead_x, ahead_y, below, sinks, beh
     for n in range(RUN):
         along, beside, gone = work[ALONG + n], work[BESIDE + n], work[SHARE + n] * m_
         away, middle = along - gone, along - half * gone
-        square = away * away + beside * beside
-        work[AT + n] = min(math.sqrt(square) * entry_, most)
-        sides = abs(a_ - gone * x_) + abs(v_ + np.float32(n) - gone * y_)
-        part = min(max(half * (r_ * r_ - square) / sides + half, zero), one)
-        work[PART + n] = part if square > outer else one
+        work[AT + n] = min(math.sqrt(away * away + beside * beside) * entry_, most)
         # seen from the middle of the way on which the tool cuts this column
         sine = beyond + sines * (beside / (math.sqrt(middle * middle + beside * beside) + tiny))
         work[SINE + n] = sine if middle >= zero else sine + table
         far = along * along + beside * beside
         work[FAR + n] = min(math.sqrt(far) * entry_ if far < outer else most, side if middle >= zero else most - one)
+        work[PART + n] = one
+    if rim:
+        for n in range(RUN):
+            along, beside, gone = work[ALONG + n], work[BESIDE + n], work[SHARE + n] * m_
+            away = math.sqrt((along - gone) * (along - gone) + beside * beside)
+            gone = min(max(along, zero), m_)  # at the nearest; what the tool leaves it has covered
+            sides = abs(a_ - gone * x_) + abs(v_ + np.float32(n) - gone * y_)
+            square = (along - gone) * (along - gone) + beside * beside
+            part = min(max(half * (r_ * r_ - square) / sides + half, zero), one)
+            part = part if square > outer and (along > zero or still) else one
+            work[PART + n] = part
+            work[AT + n] = min((away - half * (one - part) * sides / (away + tiny)) * entry_, most)
+            far = along * along + beside * beside
+            sides, away = abs(a_) + abs(v_ + np.float32(n)), math.sqrt(far)
+            part = min(max(half * (r_ * r_ - far) / sides + half, zero), one)
+            work[START + n] = min((away - half * (one - part) * sides / (away + tiny)) * entry_, most)
+            work[COVER + n] = part if far > outer and along > zero else zero
+        for n in range(RUN):
+            at = work[START + n]
+            k = np.uint64(at)
+            height = shape.height[k] + (at - np.float32(k)) * (shape.height[k + np.uint64(1)] - shape.height[k])
+            work[START + n] = height + half * work[SHARE + n] * sinks_
     for n in range(RUN):
         at = work[AT + n]
         k = np.uint64(at)
         work[GOAL + n] = shape.height[k] + (at - np.float32(k)) * (shape.height[k + np.uint64(1)] - shape.height[k])
     for n in range(RUN):
         goal = min(below_ + work[SHARE + n] * sinks_ - work[GOAL + n], deepest)
-        work[GOAL + n] = goal if work[ALONG + n] > back and first + n >= low and first + n <= high else -one
+        along, beside = work[ALONG + n], work[BESIDE + n]
+        meets = along > zero or (behind and along * along + beside * beside < reach)
+        work[GOAL + n] = goal if meets and first + n >= low and first + n <= high else -one
     lower_nodes(s, p, base, first)
     for n in range(RUN):
         level = below_ + half * work[SHARE + n] * sinks_
@@ -243,20 +278,34 @@ def _run(s, p, i, low, high, base, a, v0, m, ahead_x, ahead_y, below, sinks, beh
         lost = np.float64(work[LOST + n])
         if lost == 0.0:
             continue
-        row, top = edges.lost[p.front[np.uint64(work[SINE + n])]], np.uint64(shape.piece[np.uint64(work[FAR + n])])
-        z, end, b = np.float64(work[GOAL + n]), np.float64(work[END + n]), shape.piece[np.uint64(work[AT + n])]
-        each, b = lost / (end - z), min(np.uint64(b), top)
-        if top == last_piece and end > shape.edges[top]:
-            start = max(z, shape.edges[top])
-            edges.raised[p.front[np.uint64(work[SINE + n])]] += each * (end - start) * 0.5 * (end + start)
-        while True:  # two pieces at once: few columns need a second round, which no processor predicts
-            first_edge = min(max(shape.edges[b + ONE], z), end) if b < top else end
-            second_edge = min(max(shape.edges[b + ONE + ONE], z), end) if b + ONE < top else end
-            row[b] += each * (first_edge - z)
-            row[b + ONE] += each * (second_edge - first_edge)
-            b, z = b + ONE + ONE, second_edge
-            if z >= end:
-                break
+        angle, far = p.front[np.uint64(work[SINE + n])], np.uint64(shape.piece[np.uint64(work[FAR + n])])
+        z, end, at = np.float64(work[GOAL + n]), np.float64(work[END + n]), work[AT + n]
+        at = np.uint64(shape.piece[np.uint64(min(at, max(work[FAR + n], most - one)))])
+        b, top = min(at, far), max(at, far)
+        if rim and work[COVER + n] > zero:  # above the height at which the rim covered a part before, less is left
+            left = max(1.0 - np.float64(work[COVER + n] / work[PART + n]), 1e-3)
+            bend = min(max(np.float64(work[START + n]), z), end)
+            each = lost / (bend - z + left * (end - bend))
+            _fill(shape, edges, angle, b, top, bend, end, each * left)
+            end = bend
+        else:
+            each = lost / (end - z)
+        _fill(shape, edges, angle, b, top, z, end, each)
+
+
+@inlined
+def _fill(shape, edges, angle, b, top, z, end, each):
+    """Add ``each`` level of a column from z to ``end`` [levels] to the pieces b to ``top`` of an angle."""
+    row = edges.lost[angle]
+    if top == np.uint64(shape.length.size - 1) and end > shape.edges[top]:
+        start = max(z, shape.edges[top])
+        edges.raised[angle] += each * (end - start) * 0.5 * (end + start)
+    while z < end:  # two pieces at once: few columns need a second round, which no processor predicts
+        middle = min(max(shape.edges[b + ONE], z), end) if b < top else end
+        above = min(max(shape.edges[b + ONE + ONE], z), end) if b + ONE < top else end
+        row[b] += each * (middle - z)
+        row[b + ONE] += each * (above - middle)
+        b, z = b + ONE + ONE, above
 
 
 @inlined
@@ -273,10 +322,8 @@ def _ramp_share(p, along, beside, m, slope, inverse, r, entry, below, sinks, bar
             lead = _lead(p, slope, beside, r, entry)
         share = min(max((along - lead) * inverse, 0.0), 1.0)
     away, outer = along - share * m, (r - RIM) * (r - RIM)
-    if (
-        away * away + beside * beside > outer
-    ):  # the deepest place is where the tool comes to cover the node, or leaves it
-        half = math.sqrt(max(outer - beside * beside, 0.0))
+    if away * away + beside * beside > outer:  # deepest where the rim comes to cover the node, or leaves it
+        half = math.sqrt(max(r * r - beside * beside, 0.0))
         share = min(max(share, (along - half) * inverse), max((along + half) * inverse, 0.0), 1.0)
     return share
 

@@ -52,13 +52,12 @@ def test_the_mean_force_is_that_of_the_quadrature_within_two_percent(name, law):
         assert error(TOOLS[name], CUTTINGS[law], UPRIGHT, sides, DEPTHS[name]) < most, immersion
 
 
-@pytest.mark.parametrize(("name", "k"), list(itertools.product(("ball", "bull", "taper"), range(3))))
+@pytest.mark.parametrize(("name", "k"), list(itertools.product(("flat", "ball", "bull", "taper"), range(3))))
 def test_a_ramp_down_and_up_and_a_plunge_have_the_force_of_the_quadrature(name, k):
-    """Each way with each tool, and with each law; the usual suite takes a Latin square of the 27."""
-    dt = 1e-3 if name == "bull" else 4e-3  # its flat end passes the rim of the floor: 3 % at 4 ms, of first order
+    """Each way with each tool, and with each law; the usual suite takes one law of each."""
     square = (k + list(TOOLS).index(name)) % 3
     for law in CUTTINGS if LONG else [list(CUTTINGS)[square]]:
-        assert ramp_error(TOOLS[name], CUTTINGS[law], UPRIGHT, (3.0, -3.0, 90.0)[k], dt) < 0.02, law
+        assert ramp_error(TOOLS[name], CUTTINGS[law], UPRIGHT, (3.0, -3.0, 90.0)[k]) < 0.02, law
 
 
 @pytest.mark.parametrize("name", TOOLS)

@@ -163,12 +163,30 @@ def test_the_volume_above_a_leaning_flank_is_counted():
     assert 0.5 * triangle < cut.undercut_volume < triangle  # the cells of the rim, 0.1 of 0.38 mm, are the tool's
 
 
-@pytest.mark.parametrize(("name", "side"), [("flat", "up"), ("bull", "down")])
-def test_the_error_of_a_narrow_strip_falls_with_the_map(name, side):
-    """5 % of the width of a tool that leans by 45 deg: 4 or 5 nodes of a map of 0.1 mm."""
-    sides = sides_of(name, "lean 45", side, 0.05)
-    coarse, fine = (error(TOOLS[name], EDGE, ALONG["lean 45"], sides, grid_step=step) for step in (1e-4, 5e-5))
-    assert fine < 0.5 * coarse < 0.04
+#: largest error of a strip of 5 % of the width, 2 to 7 nodes of 0.1 mm, where it is not 2 %
+STRIPS = {
+    ("flat", "lean 45"): 0.033,
+    ("bull", "lean 45"): 0.028,
+    ("taper", "lean 15"): 0.034,
+    ("taper", "lean 45"): 0.029,
+    ("ball", "lead 45"): 0.024,
+}
+
+
+@pytest.mark.parametrize(("name", "tilt"), CASES)
+def test_the_force_of_a_narrow_strip_is_that_of_the_quadrature(name, tilt):
+    """Up and down, three laws; the usual suite takes one of these six in turn."""
+    cells, k = list(itertools.product(("up", "down"), CUTTINGS)), CASES.index((name, tilt))
+    for side, law in cells if LONG else [cells[k % 6]]:
+        strip = error(TOOLS[name], CUTTINGS[law], ALONG[tilt], sides_of(name, tilt, side, 0.05))
+        assert strip < STRIPS.get((name, tilt), 0.02), (side, law)
+
+
+def test_the_error_of_a_narrow_strip_falls_with_the_map():
+    """Three rows of nodes beside a cone that is steep below the top: a node has no room for the bend of its cell."""
+    strip = TOOLS["taper"], EDGE, ALONG["lean 15"], sides_of("taper", "lean 15", "up", 0.05)
+    coarse, fine = (error(*strip, grid_step=step) for step in (1e-4, 5e-5))
+    assert fine < 0.5 * coarse
 
 
 @pytest.mark.parametrize("step", [5e-5, 2.7e-4])
@@ -189,5 +207,5 @@ def test_the_floor_of_a_leaning_tool_is_that_of_the_geometry(name, step):
         covered = away < RADIUS - 1e-4
     beyond = np.where(covered, z - np.minimum(floor, 0.0), 0.0)
     assert beyond.max() < cut.params.level_step
-    # where the floor begins, a node of the rim takes its share of a place up to half a cell further inside
-    assert beyond.min() > -0.08e-4 * sine / cosine
+    # where the floor begins, a node has the mean depth of its cell: an eighth of the fall over the cell
+    assert beyond.min() > -0.125e-4 * sine / cosine
