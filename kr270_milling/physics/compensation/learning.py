@@ -19,7 +19,7 @@ d_k contains backlash and the answer of the cut; H_k is the response of the robo
 cut also answers the correction, which H_k leaves out: the robots run again along the new reference, and c is added to.
 
 A robot may swing by itself, which no H_k contains. So the cost of a robot grows with the logarithm where the square of
-its largest deviation l exceeds m^2; m is 1.5 times the median along ``inverse``, s_k the share [Huber1981]:
+its largest deviation l exceeds m^2, the median along ``inverse``; s_k is the share of its square [Huber1981]:
 
     cost = min(l^2, m^2) + m^2 log(max(l^2 / m^2, 1)),   s_k = min(1, m^2 / l_k^2)
 """
@@ -419,7 +419,7 @@ class Learner:
                 break
             largest = np.array([self._largest(deviation, weight) for _, deviation in drawn])
             if number == 0:
-                usual, count = 1.5**2 * float(np.median(largest)), len(drawn)
+                usual, count = float(np.median(largest)), len(drawn)
             beyond = np.maximum(largest / max(usual, 1e-300), 1.0)
             size = float(np.mean(np.minimum(largest, usual) + usual * np.log(beyond)))
             if len(drawn) != count or size > worth * best:

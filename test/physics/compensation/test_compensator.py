@@ -274,7 +274,7 @@ def test_robust_equals_inverse_without_uncertainty_and_is_better_in_the_mean_of_
 
 
 def test_a_robot_that_strays_by_itself_leaves_the_plan_for_the_others(cell):
-    """Three robots are 20 um beside the model, a fourth 2 mm with s = 2e-4: 20.2 um, and not the mean of 515 um."""
+    """Three robots are 20 um beside the model, a fourth 2 mm with s = 1e-4: 20.1 um, and not the mean of 515 um."""
     moving = cell.replace(compensation=cell.compensation.replace(criterion="least_squares"))
     target, arm = path_of(moving).target, jobs.arm_response(moving, path_of(moving).target)
 
