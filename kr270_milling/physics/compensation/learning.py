@@ -17,6 +17,11 @@ the model's values with log-normal priors, so the model stays where the passes s
 The mean over a sample replaces the expectation [Kleywegt2002]. Both passes run along the reference of ``inverse``, so
 d_k contains backlash and the answer of the cut; H_k is the response of the robot: arm, base, servo lag and delay. The
 cut also answers the correction, which H_k leaves out: the robots run again along the new reference, and c is added to.
+
+A robot may swing by itself, which no H_k contains. So the cost of a robot grows with the logarithm where the square of
+its largest deviation l exceeds m^2, the median along ``inverse``; s_k is the share of its square [Huber1981]:
+
+    cost = min(l^2, m^2) + m^2 log(max(l^2 / m^2, 1)),   s_k = min(1, m^2 / l_k^2)
 """
 
 from __future__ import annotations
@@ -394,16 +399,13 @@ class Learner:
         segments, weight, smooth = self.segments, self._weight(), self.conditions.smooth
         settled_gain = 1e-4  # of the cost of the path as programmed: a step of the search that gains less is the last
         settled = settled_gain * float(np.einsum("kpi,kpij,kpj->", self.expected, weight, self.expected))
-        best, tried, bias, shares = np.inf, offset, 0.0, np.zeros(0)
-        # a robot with more than this multiple of the median of the largest deviations counts in inverse proportion to
-        # its square: it may swing by itself, which no response contains, and the swing would shape the correction
-        outlying = 2.5
+        best, tried, bias, usual, count = np.inf, offset, 0.0, 0.0, 0
         # weight of the roughness of the change for many robots: a rougher change, which each robot answers otherwise,
         # gains less than 1 % of the mean square and needs twice the correction (pocket of the tutorial)
         careful = 1.0
         # most passes of the simulated robots; the cut answers the correction, so the first one is not the last
         rounds = 4 if self.target.duration_ns < LONG else 2
-        worth = 0.98  # of the mean square of their largest deviations: a pass that gains less is the last
+        worth = 0.98  # of the mean cost: a pass that gains less is the last
         for number in range(rounds):
             reference, _ = corrected(self.target, tried, smooth)
             passes = [
@@ -417,13 +419,16 @@ class Learner:
                 break
             largest = np.array([self._largest(deviation, weight) for _, deviation in drawn])
             if number == 0:
-                shares = np.minimum(1.0, outlying**2 * np.median(largest) / np.maximum(largest, 1e-300))
-            if len(drawn) != len(shares) or (size := float(np.mean(shares * largest))) > worth * best:
+                usual, count = float(np.median(largest)), len(drawn)
+            beyond = np.maximum(largest / max(usual, 1e-300), 1.0)
+            size = float(np.mean(np.minimum(largest, usual) + usual * np.log(beyond)))
+            if len(drawn) != count or size > worth * best:
                 break
             best, offset = size, tried
             self.ensemble, self._ran = drawn, cubic
             if number + 1 == rounds:
                 break
+            shares = 1.0 / beyond
             change = least_mean_square(self.arm, segments, self.conditions, drawn, shares, weight, careful, settled)
             tried = offset + knots(segments, change)
             if np.array_equal(tried, offset):

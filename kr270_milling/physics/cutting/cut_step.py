@@ -96,8 +96,11 @@ def engage(s, p, flat, profile, tilts, pose_from, pose_to, n, wrench):
     for j in range(s.last.size):
         s.last[j] = pose_to[j]
     fresh = turn / (turn + p.lag + p.twist * height / parts)
+    faded = 1e-3  # [N, N m] of a tool in the air, which ends the lag: a pass counts where its wrench is not 0
     for j in range(6):
         s.load[j] += fresh * (wrench[j] - s.load[j])
+        if wrench[j] == 0.0 and abs(s.load[j]) < faded:
+            s.load[j] = 0.0
         wrench[j] = s.load[j]
     s.load[6] += fresh * (torque - s.load[6])
     s.load[THRUST] += fresh * (thrust / parts - s.load[THRUST])

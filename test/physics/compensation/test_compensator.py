@@ -20,7 +20,7 @@ from kr270_milling.cli import main
 from kr270_milling.decide.verdict import monte_carlo
 from kr270_milling.path.trajectory import Trajectory
 from kr270_milling.physics.compensation.compensator import Compensator, noise_floor, remaining_error
-from kr270_milling.physics.compensation.learning import CellModels
+from kr270_milling.physics.compensation.learning import CellModels, Learner
 from kr270_milling.physics.compensation.method import Correction
 from kr270_milling.physics.compensation.revision import PassRecord, sampled_correction
 from kr270_milling.physics.compensation.settings import CompensationSettings
@@ -271,6 +271,22 @@ def test_robust_equals_inverse_without_uncertainty_and_is_better_in_the_mean_of_
     robust, judged = revised(lagging, "robust"), moving.replace(uncertainty=lagging)
     errors = np.array([monte_carlo(judged, run, 6, 1).compensated for run in (inverse, robust)])
     assert np.mean(errors[1] ** 2) < 0.5 * np.mean(errors[0] ** 2)
+
+
+def test_a_robot_that_strays_by_itself_leaves_the_plan_for_the_others(cell):
+    """Three robots are 20 um beside the model, a fourth 2 mm with s = 1e-4: 20.1 um, and not the mean of 515 um."""
+    moving = cell.replace(compensation=cell.compensation.replace(criterion="least_squares"))
+    target, arm = path_of(moving).target, jobs.arm_response(moving, path_of(moving).target)
+
+    def robots(target, reference):
+        ran = simulate(moving, reference).result
+        shifts = [0.0, 20 * UM, 20 * UM, 20 * UM, 2000 * UM]
+        return [(arm, PassRecord(ran.time_ns, ran.actual + np.array([0.0, shift, 0.0]))) for shift in shifts]
+
+    models = dataclasses.replace(jobs.models_of(moving), robots=robots)
+    learner = Learner.of_model(target, models, "least_squares", True).expect()
+    change = (learner.robust_correction() - learner.correction())[len(target) // 2]
+    assert change == pytest.approx([0.0, -20 * UM, 0.0], abs=1 * UM)
 
 
 def test_lines_between_the_knots_a_missing_wrench_and_noise_of_the_pose_leave_little(cell, learned):

@@ -125,6 +125,15 @@ def test_the_removed_volume_is_that_of_the_geometry_and_of_a_ramp_the_wedge_belo
     assert surface[inside, 0] == pytest.approx(lowest[inside], abs=1.5 * 1e-3 * 0.267 / 19)
 
 
+def test_a_tool_that_has_left_the_stock_has_no_force_at_all():
+    """The lag ends, so that a pass is not scored in the air."""
+    cut = EngagementCut(tool(30.0), AXIAL, block(*IMMERSIONS["slot"]), MICRO_STEP)
+    path, steps = straight(4e-3, 45e-3 + 2 * RADIUS)
+    wrench, _, volume = cut.along(path, steps)
+    air = np.flatnonzero(volume)[-1] + 1
+    assert wrench[air].any() and not wrench[air + 10 :].any()
+
+
 SHARP = Cutting("linear_edge", linear_edge=AL7075_T6.replace(tangential_edge=0.0, radial_edge=0.0))
 
 
