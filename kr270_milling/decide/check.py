@@ -249,7 +249,7 @@ def _cut(
     else:
         with progress("stock and fixtures"):
             return ran, cut_violations(cell, run, ran, contacts.result())
-    return None, [failed, *(found for part in contacts.result() for found in part)]
+    return None, [failed, *(finding for part in contacts.result() for finding in part)]
 
 
 def _correction(cell: Cell, target: Trajectory, run: Trajectory, robot_program: Program) -> list[Finding]:

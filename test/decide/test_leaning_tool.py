@@ -15,8 +15,8 @@ SLOTS = [(shape, tilt) for k, tilt in enumerate(TILTS) for n, shape in enumerate
 
 
 def contacts(cell) -> list:
-    found = path_contacts(cell, path_of(cell).target)
-    return [finding for part in found for finding in part if finding.severity == "stop"]
+    parts = path_contacts(cell, path_of(cell).target)
+    return [finding for part in parts for finding in part if finding.severity == "stop"]
 
 
 @pytest.mark.parametrize("number", range(len(SLOTS)))
