@@ -28,7 +28,7 @@ class Exchange(Record):
         unit="ms",
         above=0.0,
         high=20.0,
-        text="exchange period where cutting.detail is engagement, rounded to whole micro-steps; default: 4 ms, and 1.5 "
+        text="exchange period where cutting.detail is engagement, rounded to whole micro-steps; default: 4 ms, and 1.25 "
         "ms for an end that is not flat and for a tilted axis",
     )
     iterations: int = parameter(1, low=1, high=20, text="exchanges a period; above 1 the correction is fed back")
@@ -47,7 +47,7 @@ class Exchange(Record):
         level: the end of the tool is flat and level, so that the contact with the floor is solved within a period.
         Other ends are pushed out by their whole area: over 4 ms the predicted tip of a leaning ball is off by 4 um.
         """
-        usual = 4e-3 if level else 1.5e-3  # [s], convergence in guide/contributing/models.md
+        usual = 4e-3 if level else 1.25e-3  # [s], convergence in guide/contributing/models.md
         return self._rounded(usual if math.isnan(self.engagement_period) else self.engagement_period, spindle_speed)
 
     def for_teeth(self, spindle_speed: float, end_share: float) -> Exchange:
