@@ -28,8 +28,8 @@ class Exchange(Record):
         unit="ms",
         above=0.0,
         high=20.0,
-        text="exchange period where cutting.detail is engagement, rounded to whole micro-steps; default: 4 ms, and 1.25 "
-        "ms for an end that is not flat and for a tilted axis",
+        text="exchange period where cutting.detail is engagement, rounded to whole micro-steps; default: 4 ms, and "
+        "1.25 ms for an end that is not flat and for a tilted axis",
     )
     iterations: int = parameter(1, low=1, high=20, text="exchanges a period; above 1 the correction is fed back")
     warn_correction: float = parameter(
