@@ -50,7 +50,8 @@ def test_help_shows_every_function_with_its_arguments_and_an_example():
     functions = [name for name in kr270_milling.__all__ if name.islower() and not name.startswith("_")]
     assert len(functions) == 12 and set(kr270_milling.__all__) <= set(dir(kr270_milling))
     for name in functions:
-        assert re.search(rf"^    {name}\(\w+.*\n(        .*\n|\s*\n)*?        >>> ", text, re.MULTILINE), name
+        arguments = r"\(\s*\w+.*\n(        .*\n)*(    \).*\n)?"  # from Python 3.13 on one a line where they are many
+        assert re.search(rf"^    {name}{arguments}(        .*\n|\s*\n)*?        >>> ", text, re.MULTILINE), name
     with pytest.raises(AttributeError):
         kr270_milling.anything_else  # noqa: B018
 
