@@ -76,8 +76,9 @@ def _run_nodes(makes: Sequence[Callable], args: list[str] | None, signals: list[
     except (MillingError, ParameterException) as error:
         _print_error(error)
         return 2
-    known = {name for node in nodes for name in node._parameters}  # noqa: SLF001 - rclpy has no public list
-    unknown = sorted({name for node in nodes for name in node._parameter_overrides} - known)  # noqa: SLF001
+    known = {name for node in nodes for name in node.get_parameters_by_prefix("")}
+    # rclpy has no public list of the values that were given; without this one there is no warning
+    unknown = sorted({name for node in nodes for name in getattr(node, "_parameter_overrides", ())} - known)
     if unknown:  # ROS ignores these
         more = nearest(unknown[0], known) if len(unknown) == 1 else ""
         nodes[0].get_logger().warning(f"unknown parameters are ignored: {', '.join(unknown)[:300]}{more}")

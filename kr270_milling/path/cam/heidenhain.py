@@ -231,16 +231,10 @@ class _Conversational(Machine):
         if not upper:
             self.low = corner
             return
-        pairs = zip("XYZ", corner, self.low, strict=True)
-        self.program.state_stock(
-            [
-                *self.low,
-                *(
-                    words.get(f"I{a}", math.nan) * self.unit + low if math.isnan(value) else value
-                    for a, value, low in pairs
-                ),
-            ]
-        )
+        for k, axis in enumerate("XYZ"):
+            if f"I{axis}" in words:
+                corner[k] = self.low[k] + words[f"I{axis}"] * self.unit
+        self.program.state_stock([*self.low, *corner])
 
     def _comment(self, comment: str, text: str) -> None:
         if len(self.program.comments) < 2000:
