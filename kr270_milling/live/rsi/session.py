@@ -63,6 +63,8 @@ class RsiRecording(BagWriter):
         target = Trajectory(time_ns - time_ns[0], table.position, np.array(TOOL_DOWN))
         self._add("target_trajectory", target)
         self._add("reference_trajectory", target.with_position(table.position + table.correction[:, :3]))
+        for topic, kind in (("tool_pose", PoseSample), ("correction", TwistSample)):  # not in the first cycle
+            self.add_topic(f"/{topic}", type_of(kind))
 
     def add(self, stamp: int, actual: np.ndarray | None, correction: np.ndarray) -> None:
         """Record an answered cycle: stamp [ns], RIst and RKorr, (6,) [m, rad]."""
@@ -131,26 +133,32 @@ class RsiSession:
         values = {axes: " ".join(f'{axis}="0"' for axis in axes) for axes in (AXES, JOINTS)}
         names = (poses | {self.elements.joints: JOINTS}).items()
         text = "".join(f"<{name} {values[axes]}/>" for name, axes in names if name)
-        stop = threading.Event()
+        corrector = copy.copy(self.corrector)
+        corrector.path = copy.copy(corrector.path)
         with open_socket("127.0.0.1", 0) as own:
             own.sendto(f"<Rob>{text}<IPOC>0</IPOC></Rob>".encode(), own.getsockname())
-            corrector = copy.deepcopy(self.corrector)
-            replace(
-                self, connection=own, corrector=corrector, report=lambda _: stop.set(), record=None, stop=stop
-            ).run()  # up to its first report, "robot is connected"
+            twin = replace(self, connection=own, corrector=corrector, report=lambda _: None, record=None)
+            twin.answer_newest()
 
     def run(self) -> None:
         """Answer telegrams until the end."""
         latest = time.monotonic()
         gc.freeze()  # objects of the start are not searched again during the cycles
         while not self.stop.is_set():
-            newest = self._newest()
-            if newest is not None:
-                self._answer(*newest)
+            if self.answer_newest():
                 latest = time.monotonic()
-            elif self._robot is not None and time.monotonic() - latest > SILENCE:
+            elif self._robot is None:
+                self.rehearse()  # keeps code and data of an answer in the cache of the processor
+            elif time.monotonic() - latest > SILENCE:
                 self.report(f"no telegram for {SILENCE:g} s")
                 self.stop.set()  # the next program starts from the first point with a new session
+
+    def answer_newest(self) -> bool:
+        """Wait for telegrams, and answer the newest; return whether there was one."""
+        newest = self._newest()
+        if newest is not None:
+            self._answer(*newest)
+        return newest is not None
 
     def _newest(self) -> tuple[RobotTelegram, np.ndarray, int] | None:
         """Wait for telegrams, read all that have arrived, and return the newest with its point and its arrival [ns].
@@ -173,9 +181,7 @@ class RsiSession:
             except MessageError as error:
                 self._refuse(str(error))
                 continue
-            if self._robot is None:
-                self._robot = sender
-                self.report(f"robot {sender[0]}:{sender[1]} is connected")
+            self._robot = sender
             self.repeated += before is not None and ahead == 0
             newest = telegram, point, arrival
         return newest
@@ -207,6 +213,8 @@ class RsiSession:
         self.late += took > 1e-3 * self.cycle_ms
         self.longest, self.total = max(self.longest, took), self.total + took
         self.most_delay = max(self.most_delay, telegram.delay)
+        if self.answered == 1:
+            self.report("robot {}:{} is connected".format(*self._robot or ()))
         self._record(self._elapsed * SECOND // 1000, telegram.actual, correction)
         if self.corrector.reason != self._reason:
             self._reason = self.corrector.reason
