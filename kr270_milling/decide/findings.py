@@ -174,6 +174,9 @@ KINDS = {
         "G41 or G42 moves the path by {value:.6g} mm, the radius in the comment on {label}",
         "A program posted for wear is the path of the centre already: state G10 L12 P1 R0, or post without G41.",
         "warning"),
+    "no tool": Kind("1", "the program cuts with {label}, which is an empty spindle",
+        "Write the number of the tool, from 1 on, where the program changes to it."),
+    "block skip": Kind("1", "", "Leave the switch off: the program without these lines is not checked.", "warning"),
     "feed unit": Kind("1", "", "Other controls count it in the new unit: write F in the lines after G20 or G21.",
         "warning"),
     "length number": Kind("1", "", "A control adds the length of another tool: write the H of the tool, or check that "

@@ -159,6 +159,8 @@ def _program(cell: Cell) -> list[Finding]:
         findings.append(violation("drilling", float(holes), 0.0, block=block, number=number))
     if tool is None:
         return findings
+    if tool.changed_as == "T0":
+        findings.append(violation("no tool", 0.0, 1.0, line=tool.line, label="T0"))
     diameter_rounding = 20e-6  # [m], of a diameter in a comment: 0.394 in for 10 mm
     if tool.diameter and abs(tool.diameter - cell.tool.diameter) > diameter_rounding:
         reground = 0.02  # share of the diameter that regrinding takes; a larger difference is another tool
