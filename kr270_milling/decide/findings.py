@@ -148,8 +148,16 @@ KINDS = {
     "spindle direction": Kind("deg",
         "the spindle points {value:.4g} deg away from the axis of the flange{words}",
         "Compare $TOOL with TOOL_DATA on the display of the controller; copy it to mount.tool_kuka.", "warning"),
-    "tool tip": Kind("mm", "the tip of the tool is {value:.4g} mm behind the flange",
+    "tool tip": Kind("mm", "the tip of the tool is {value:.4g} mm {words}",
         "Compare $TOOL with TOOL_DATA on the display of the controller; copy it to mount.tool_kuka.", "warning"),
+    "safe height": Kind("mm",
+        "the robot program comes from home and leaves by a PTP motion {value:.4g} mm {words}, at least {limit:.4g} mm "
+        "are wanted",
+        "Raise program.safe_height_mm, in mm above the top of the stock.", "warning"),
+    "slowed": Kind("s",
+        "the limits of the joints slow the path down: it takes {value:.4g} s, at the programmed feeds {limit:.4g} s",
+        "Check arm.joint_speed_limit_deg_per_s and arm.joint_acceleration_limit_deg_per_s, keep away from "
+        "singularities, or lower the feed.", "warning"),
     "frame of the program": Kind("mm",
         "{name} of the program is {value:.4g} mm and {degrees:.3g} deg away from {key}",
         "Compare both with the display of the controller; the corrected program sets that of the cell.", "warning"),
