@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from hostile import POSTURE, settings
 
+from kr270_milling.base.errors import ConfigError
 from kr270_milling.base.record import parameter
 from kr270_milling.physics.cutting.force_law import ForceLaw
 from kr270_milling.physics.cutting.laws import FractionalLaw
@@ -244,6 +245,7 @@ class Short(FractionalLaw):
 @pytest.mark.parametrize(("line", "sentence"), [
     ("[kr270_milling.force_laws]\nlinear_edge = json:loads", "this name is taken"),
     ("[kr270_milling.force_laws]\nmine = no_such_module:Law", "cannot be imported (ModuleNotFoundError"),
+    ("[kr270_milling.force_laws]\nmine = broken:Law", "cannot be imported (NameError: name 'nothing' is not defined)"),
     ("[kr270_milling.methods]\nmine = json:loads", "json:loads is no class with the function revise"),
     ("[kr270_milling.methods]\nmine = mine:Other", "the method is named other; give both the same name"),
     ("[kr270_milling.force_laws]\nmine = mine:Short", "start and searched must have 5 entries"),
@@ -251,6 +253,7 @@ class Short(FractionalLaw):
 def test_an_entry_point_that_cannot_be_used_is_named_in_one_sentence(tmp_path, line, sentence):
     (tmp_path / "mine-1.0.dist-info").mkdir()
     (tmp_path / "mine.py").write_text(MINE)
+    (tmp_path / "broken.py").write_text("nothing")
     (tmp_path / "mine-1.0.dist-info/METADATA").write_text("Metadata-Version: 2.1\nName: mine\nVersion: 1.0\n")
     (tmp_path / "mine-1.0.dist-info/entry_points.txt").write_text(line + "\n")
     environment = {**os.environ, "PYTHONPATH": f"{tmp_path}{os.pathsep}{ROOT}"}
@@ -266,6 +269,23 @@ def test_an_entry_point_that_cannot_be_used_is_named_in_one_sentence(tmp_path, l
 ])  # fmt: skip
 def test_a_force_law_that_cannot_be_used_has_a_fault(members, sentence):
     assert sentence in type("Mine", (FractionalLaw,), members).fault()
+
+
+def test_a_force_that_raises_is_a_fault_and_one_that_cannot_be_compiled_is_refused_in_one_sentence():
+    """Compiled code prints an error that it raises and goes on with a force of 0."""
+
+    def raises(h, slope):
+        assert h < 1.0
+        return slope * h, 0.0, 0.0
+
+    fields = [("slope", float, parameter(1.0, unit="n_per_mm2", text="slope"))]
+    about = {"scattered": ("slope",), "start": (1.0,), "searched": ((0.0, 1.0),)}
+    for force, fault in ((raises, "force must not raise"), (lambda h, slope: (slope * h, 0.0), "")):
+        namespace = {**about, "force": staticmethod(force)}
+        law = make_dataclass("Mine", fields, bases=(ForceLaw,), namespace=namespace, frozen=True, eq=False)
+        assert law.fault().startswith(fault) and bool(law.fault()) == bool(fault)
+    with pytest.raises(ConfigError, match="force law Mine: force: cannot be compiled .No conversion from UniTuple"):
+        law.address()
 
 
 def test_a_force_law_without_a_force_or_with_an_unknown_unit_has_a_fault():

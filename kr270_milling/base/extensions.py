@@ -62,7 +62,7 @@ def load_as(point: EntryPoint, valid: Callable[[object], bool], kind: str):
     """The object of an entry point; raises ConfigError where the import fails or the object is of another kind."""
     try:
         loaded = point.load()
-    except (ImportError, AttributeError, SyntaxError) as error:
+    except Exception as error:  # noqa: BLE001 - code of another package may raise anything
         raise refused(point, f"cannot be imported ({type(error).__name__}: {error})") from None
     if not valid(loaded):
         raise refused(point, f"{point.value} is no {kind}")

@@ -158,7 +158,8 @@ def read_lines(path) -> list[str]:
     """
     try:
         if not Path(path).is_file():  # a directory, a pipe, a device
-            raise InputError(path, "is no file" if Path(path).exists() else "is no such file")
+            kind = "a directory, not a file" if Path(path).is_dir() else "no file"
+            raise InputError(path, f"is {kind if Path(path).exists() else 'no such file'}")
         if Path(path).stat().st_size > MOST_BYTES:
             raise InputError(path, f"has more than {MOST_BYTES} bytes; cut the path in pieces")
         data = Path(path).read_bytes()

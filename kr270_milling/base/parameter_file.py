@@ -238,11 +238,13 @@ def find_file(name: str, beside: Path | None = None) -> Path:
     places = [Path(name)] if beside is None else [beside / name]
     if Path(name).parent in (Path("."), Path("config")):
         places += [directory / Path(name).name for directory in shipped_directories()]
+    kind = "no such file"
     for place in places:
         with contextlib.suppress(OSError, ValueError):  # too long, no permission, a zero byte in the name
             if place.is_file():
                 return place
-    raise ConfigError(name, "", None, f"is no such file (looked at {', '.join(dict.fromkeys(map(str, places)))})")
+            kind = "a directory, not a file" if place.is_dir() else "no file" if place.exists() else kind
+    raise ConfigError(name, "", None, f"is {kind} (looked at {', '.join(dict.fromkeys(map(str, places)))})")
 
 
 def shipped_directories() -> list[Path]:

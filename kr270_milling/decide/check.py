@@ -187,6 +187,9 @@ def check(
         results, _ = arm_violations(arm_of(cell), cell.limits, run)
     results += [*input_violations(cell), *more]
     if reachable:
+        planned = fed.trajectory if fed else path.target
+        if path.target.duration_ns > 1.1 * planned.duration_ns:  # less shows in no chip
+            results.append(violation("slowed", 1e-9 * path.target.duration_ns, 1e-9 * planned.duration_ns))
         straight = run.velocity is None and path.target.velocity is not None
         robot_program = cell.krl.replace(motion=motion or ("LIN" if straight else cell.krl.motion))
         results += _correction(cell, path.target, run, robot_program)

@@ -348,7 +348,8 @@ def _places(cell: Cell) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray,
     target, timed = path_of(cell).target, path_of(cell).timed
     radius = float(cell.tool.radii.max())
     length = path_of(cell).length
-    area = float(np.prod((cell.stock.max - cell.stock.min)[:2]))
+    reach = np.array([target.position.min(axis=0) - radius, target.position.max(axis=0) + radius])
+    area = float(np.prod(np.ptp(np.clip(reach, cell.stock.min, cell.stock.max), axis=0)[:2]))
     # length / (step / 2) places of pi (radius / step)^2 nodes each are to stay below MOST_VISITS
     nodes_per_radius = 50  # of the height map, along its axes
     most_visits = 2e9  # of nodes, about a nanosecond each; a longer path takes a coarser map

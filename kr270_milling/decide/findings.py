@@ -148,8 +148,16 @@ KINDS = {
     "spindle direction": Kind("deg",
         "the spindle points {value:.4g} deg away from the axis of the flange{words}",
         "Compare $TOOL with TOOL_DATA on the display of the controller; copy it to mount.tool_kuka.", "warning"),
-    "tool tip": Kind("mm", "the tip of the tool is {value:.4g} mm behind the flange",
+    "tool tip": Kind("mm", "the tip of the tool is {value:.4g} mm {words}",
         "Compare $TOOL with TOOL_DATA on the display of the controller; copy it to mount.tool_kuka.", "warning"),
+    "safe height": Kind("mm",
+        "the robot program comes from home and leaves by a PTP motion {value:.4g} mm {words}, at least {limit:.4g} mm "
+        "are wanted",
+        "Raise program.safe_height_mm, in mm above the top of the stock.", "warning"),
+    "slowed": Kind("s",
+        "the limits of the joints slow the path down: it takes {value:.4g} s, at the programmed feeds {limit:.4g} s",
+        "Check arm.joint_speed_limit_deg_per_s and arm.joint_acceleration_limit_deg_per_s, keep away from "
+        "singularities, or lower the feed.", "warning"),
     "frame of the program": Kind("mm",
         "{name} of the program is {value:.4g} mm and {degrees:.3g} deg away from {key}",
         "Compare both with the display of the controller; the corrected program sets that of the cell.", "warning"),
@@ -174,6 +182,9 @@ KINDS = {
         "G41 or G42 moves the path by {value:.6g} mm, the radius in the comment on {label}",
         "A program posted for wear is the path of the centre already: state G10 L12 P1 R0, or post without G41.",
         "warning"),
+    "no tool": Kind("1", "the program cuts with {label}, which is an empty spindle",
+        "Write the number of the tool, from 1 on, where the program changes to it."),
+    "block skip": Kind("1", "", "Leave the switch off: the program without these lines is not checked.", "warning"),
     "feed unit": Kind("1", "", "Other controls count it in the new unit: write F in the lines after G20 or G21.",
         "warning"),
     "length number": Kind("1", "", "A control adds the length of another tool: write the H of the tool, or check that "

@@ -25,7 +25,8 @@ BEHIND = 1e-3  #: [m] that a calibrated tip may be behind the flange: the wrist 
 
 def input_violations(cell: Cell) -> list[Finding]:
     """Everything that is wrong or unlikely in the parameter file, and between the cell and its program."""
-    return _unlikely_arm(cell) + _placement(cell) + _posture(cell) + _material(cell) + _frames(cell) + _program(cell)
+    of_arm = _unlikely_arm(cell) + _placement(cell) + _posture(cell)
+    return of_arm + _safe_height(cell) + _material(cell) + _frames(cell) + _program(cell)
 
 
 def _unlikely_arm(cell: Cell) -> list[Finding]:
@@ -50,9 +51,30 @@ def _mounting(cell: Cell) -> list[Finding]:
         into = turn > max(MOUNTINGS)
         words = ", back into the arm" if into else "; spindles are mounted at 0, 30, 45, 60 or 90 deg"
         findings.append(violation("spindle direction", turn, nearest, words=words))
-    if mount.xyz[0] < -BEHIND:
-        findings.append(violation("tool tip", -mount.xyz[0], BEHIND))
+    behind = {
+        "behind the flange": -mount.xyz[0],
+        "behind the flange, along the axis of the spindle": -mount.pose.rotation[:, 2] @ mount.xyz,
+    }
+    away, nearest_tip = float(np.linalg.norm(mount.xyz)), 10e-3  # [m]: no spindle is so short
+    for words, distance in behind.items():
+        if distance > BEHIND:
+            return [*findings, violation("tool tip", distance, BEHIND, words=words)]
+    if 0.0 < away < nearest_tip:  # 0: the cell has no tool
+        findings.append(violation("tool tip", away, nearest_tip, words="from the centre of the flange; in m?"))
     return findings
+
+
+def _safe_height(cell: Cell) -> list[Finding]:
+    """A motion between home and path that passes near the stock, or below the top of a fixture."""
+    least = 5e-3  # [m], assumed: of a PTP motion, whose path is not straight
+    tops = {"the stock": float(cell.stock.max[2])}
+    tops |= {f"fixture {n}": float(most[2]) for n, (_, most) in enumerate(cell.workpiece.fixture_boxes, 1)}
+    name = max(tops, key=lambda name: tops[name])
+    height = tops["the stock"] + cell.krl.safe_height - tops[name]
+    if height >= least:
+        return []
+    words = f"{'below' if height < 0.0 else 'above'} the top of {name}"
+    return [violation("safe height", abs(height), least, words=words)]
 
 
 def _frames(cell: Cell) -> list[Finding]:
@@ -159,6 +181,8 @@ def _program(cell: Cell) -> list[Finding]:
         findings.append(violation("drilling", float(holes), 0.0, block=block, number=number))
     if tool is None:
         return findings
+    if tool.changed_as == "T0":
+        findings.append(violation("no tool", 0.0, 1.0, line=tool.line, label="T0"))
     diameter_rounding = 20e-6  # [m], of a diameter in a comment: 0.394 in for 10 mm
     if tool.diameter and abs(tool.diameter - cell.tool.diameter) > diameter_rounding:
         reground = 0.02  # share of the diameter that regrinding takes; a larger difference is another tool

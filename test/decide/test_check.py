@@ -276,6 +276,13 @@ CASES = (
     Case("a spindle of 300 kg", "payload", "mount.mass_kg=300"),
     warning("a spindle that points into the arm", "spindle direction", f"mount.tool_kuka={BACK}", words="into the arm"),
     warning("a tip behind the flange", "tool tip", f"mount.tool_kuka={BACK}", value=300.0),
+    warning("a tip in metres", "tool tip", "mount.xyz_mm=[0.14,0,-0.3]; mount.abc_deg=[0,0,180]", value=0.331),
+    warning("a spindle turned in radians", "tool tip", "mount.xyz_mm=[140,0,-300]; mount.abc_deg=[0,0,3.14159]",
+            value=299.55, words="along the axis of the spindle"),  # 300 mm cos(3.14159 deg)
+    warning("a clamp above approach and retract", "safe height", f"{FIXTURE}=[90,90,-9,99,99,80]", value=30.0,
+            words="below the top of fixture 1"),
+    warning("an approach in metres", "safe height", "program.safe_height_mm=0.05", value=0.05, limit=5.0),
+    warning("slow joints", "slowed", "arm.joint_speed_limit_deg_per_s=[1,1,1,1,1,1]"),
     warning("a spindle at 15 deg", "spindle direction", "mount.abc_deg=[0, -15, 180]", words="75 deg away"),
     Case("a program for a cutter of 10 mm", "tool diameter", "", comment("D=10 flat end mill"), lines=(3,)),
     Case("a program for a cutter of 1 inch", "tool diameter", "", comment("1 inch end mill")),

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
+from kr270_milling.base.column import counted
 from kr270_milling.base.errors import InputError, one_line
 from kr270_milling.base.files import short
 from kr270_milling.path.cam.comments import ABOUT_TOOL, described_tool, kind_of
@@ -56,6 +57,7 @@ class ProgramBuilder(PathBuilder):
         self.feed_units: dict[str, None] = {}  #: units of the F words, in their order
         self.silent: Counter[str] = Counter()  #: words that move nothing
         self.doubtful: list[tuple[str, str, int]] = []  #: as in ``SourceProgram``
+        self.skippable: dict[tuple[int, int], None] = {}  #: lines with an effect that have the sign of block skip
         self._before_change = 0  #: number of comments up to the last move
         self.words = {"used": 0, "counted": 0, "refused": 0}  #: the numbers of words: all that were read
         self.refusals = 0  #: with those that follow from earlier ones
@@ -279,6 +281,9 @@ class ProgramBuilder(PathBuilder):
             refused += _several_speeds(speeds)
             for kind, words in frames.items():
                 refused += _several(kind, list({name or "G54": line for name, line in words.items()}.items()))
+        if self.skippable:
+            skipped = f"{counted(len(self.skippable), 'line')} with / run; block delete is assumed off"
+            self.doubtful.append(("block skip", skipped, next(iter(self.skippable))[1]))
         names = list(self.features)
         return SourceProgram(
             title=self.title,

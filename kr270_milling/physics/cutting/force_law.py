@@ -5,8 +5,10 @@ A law is a subclass of ``ForceLaw`` and a row of ``laws.LAWS``; no other file as
 
 from __future__ import annotations
 
+import dis
 import functools
 import inspect
+import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import ClassVar, NamedTuple, Protocol
@@ -15,8 +17,10 @@ import numpy as np
 from llvmlite import ir
 from numba import cfunc, njit, types
 from numba.core import cgutils
+from numba.core.errors import NumbaError
 from numba.extending import intrinsic
 
+from kr270_milling.base.errors import ConfigError
 from kr270_milling.base.record import Record, specs
 from kr270_milling.base.units import UNITS
 from kr270_milling.physics.cutting.tool import Tool
@@ -112,6 +116,8 @@ class ForceLaw(Record):
         arguments = _names(cls.force)
         if sorted(arguments) != sorted(names) or len(names) > MOST:
             return f"force must take h and the coefficients, at most {MOST}, by their names: {', '.join(names)}"
+        if any(step.opname == "RAISE_VARARGS" for step in dis.get_instructions(cls.force)):
+            return "force must not raise: compiled code ignores the error, and the force would be 0"
         searched = len(names) - len(cls.axial_names)
         linear = cls.design.__qualname__ != ForceLaw.design.__qualname__
         if not linear and not len(cls.start) == len(cls.searched) == searched:
@@ -120,8 +126,17 @@ class ForceLaw(Record):
 
     @classmethod
     def address(cls) -> int:
-        """Return the address of the compiled ``force`` in the memory of this process; see ``_call_law``."""
-        return _compiled(cls.force).address
+        """Return the address of the compiled ``force`` in the memory of this process; see ``_call_law``.
+
+        Raises ConfigError where Numba does not compile it.
+        """
+        try:
+            return _compiled(cls.force).address
+        except NumbaError as error:
+            lines = [line.strip() for line in re.sub(r"\x1b\[[0-9;]*m", "", str(error)).splitlines()]
+            reasons = [line for line in lines if line and not line.startswith(("Failed in", "During:", "- "))]
+            reason = reasons[0].partition(" for '$")[0] if reasons else type(error).__name__
+            raise ConfigError(f"force law {cls.__name__}", "force", None, f"cannot be compiled ({reason})") from None
 
     def per_depth(self, h) -> tuple:
         """F_t / a_p, F_r / a_p and F_a / a_p [N/m] at chip thickness h [m], a number or an array."""

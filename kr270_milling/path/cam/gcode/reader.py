@@ -253,13 +253,15 @@ class GcodeReader:
             code = ""
         if comments:
             self._comments(code, comments)
-        code = code.upper()
+        code, used = code.upper(), self.program.words["used"]
         if SIMPLE.fullmatch(code):
             self._run(code)
         elif "#" in code or "[" in code:
             self._macro("".join(code.split()))
         else:
             self._pieces(code)
+        if skip and self.program.words["used"] - used > code.lstrip().startswith("N"):  # more than its number
+            self.program.skippable[self.program.place, self.program.line] = None
 
     def _macro(self, code: str) -> None:
         """A line with parameters or expressions; assignments count after all values of the line are known."""
