@@ -28,9 +28,10 @@ from kr270_milling.physics.cutting.engagement import (
     slant,
     undo_engagement,
 )
-from kr270_milling.physics.cutting.revolution import tilted_part, upright_part
+from kr270_milling.physics.cutting.revolution import edge_load, empty_bins, lower_upright
 from kr270_milling.physics.cutting.state import LEVEL_SUM, LOGGED
 from kr270_milling.physics.cutting.sweep import sweep, undo
+from kr270_milling.physics.cutting.tilted import lower_tilted
 
 
 @inner
@@ -78,13 +79,18 @@ def engage(s, p, flat, profile, tilts, pose_from, pose_to, n, wrench):
         a, b = k / parts, (k + 1.0) / parts
         x0, y0, z0 = pose_from[0] + a * dx, pose_from[1] + a * dy, start + a * dz
         x1, y1, z1 = pose_from[0] + b * dx, pose_from[1] + b * dy, start + b * dz
-        part = (0.0, 0.0, 0.0)
+        part, removed = (0.0, 0.0, 0.0), s.floats[LEVEL_SUM]
         if flat is not None:
             part = flat_part(s, p, x0, y0, z0, x1, y1, z1, passes, wrench)
-        if profile is not None and not tilted:
-            part = upright_part(s, p, x0, y0, z0, x1, y1, z1, passes, wrench)
-        if tilts is not None and tilted:
-            part = tilted_part(s, p, pose_from, pose_to, a, b, passes, wrench)
+        if profile is not None:
+            empty_bins(s)
+            motion, frame = (0.0, 0.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+            if not tilted:
+                motion, frame = lower_upright(s, p, x0, y0, z0, x1, y1, z1)
+            if tilts is not None and tilted:
+                motion, frame = lower_tilted(s, p, pose_from, pose_to, a, b)
+            if passes > 0.0 and s.floats[LEVEL_SUM] > removed:
+                part = edge_load(s, p, motion, frame, passes, wrench)
         torque += part[0]
         height += part[1]
         thrust += part[2]

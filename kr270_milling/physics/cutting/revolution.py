@@ -34,6 +34,7 @@ from kr270_milling.physics.cutting.engagement import (
     CONTACT,
     FLOOR_LEVEL,
     FLOOR_NEAR,
+    LOG_LOST,
     RIM,
     SINES,
     layer_force,
@@ -44,92 +45,70 @@ from kr270_milling.physics.cutting.engagement import (
 from kr270_milling.physics.cutting.force_law import call_law
 from kr270_milling.physics.cutting.grid import LEVELS
 from kr270_milling.physics.cutting.profile import ENTRIES, LEVEL, RUN
-from kr270_milling.physics.cutting.state import LEVEL_SUM
-from kr270_milling.physics.cutting.tilted import GOAL, LOST, PART, REST, SHARE, lower_nodes, lower_tilted
+from kr270_milling.physics.cutting.state import LEVEL_SUM, LOGGED, NODES_CUT
 
+# Rows of ``EdgeBins.work``, a number for each node of a run
+GOAL = 0  # level of the tool; below 0: the node stays
+PART = RUN  # covered part of the cell
+SHARE = 2 * RUN  # of the step, after which the tool is lowest
+LOST = 3 * RUN  # levels that the cell loses
+REST = 4 * RUN  # level before of what the tool had not covered
 ALONG, BESIDE, AT, SINE, FAR, END, COVER, START = (RUN * k for k in range(5, 13))  # further rows of ``EdgeBins.work``
 ONE = np.uint64(1)
 MOST = 2.0  # share of a bin; the nodes of the map scatter it about 1
 
 
 @inlined
-def tilted_part(s, p, pose_from, pose_to, a, b, passes, wrench):
-    """Cut along the part of a step from the share a to b; pose_from, pose_to: tip and axis, (6,)."""
-    first, second = _pose(pose_from, pose_to, a), _pose(pose_from, pose_to, b)
-    _empty(s)
-    dx, dy, dz = second[0] - first[0], second[1] - first[1], second[2] - first[2]
-    ax, ay, az = first[3] + second[3], first[4] + second[4], first[5] + second[5]
-    scale = 1.0 / math.sqrt(ax * ax + ay * ay + az * az)
-    ax, ay, az = ax * scale, ay * scale, az * scale
-    bx, by, bz = second[3] - first[3], second[4] - first[4], second[5] - first[5]
-    sink = dx * ax + dy * ay + dz * az
-    if abs(sink) < 1e-9 * (abs(dx) + abs(dy) + abs(dz)):  # rounding, which would press the end on the floor
-        sink = 0.0
-    e1x, e1y, e1z = dx - sink * ax + p.radius * bx, dy - sink * ay + p.radius * by, dz - sink * az + p.radius * bz
-    swing = e1x * ax + e1y * ay + e1z * az
-    e1x, e1y, e1z = e1x - swing * ax, e1y - swing * ay, e1z - swing * az
-    length = math.sqrt(e1x * e1x + e1y * e1y + e1z * e1z)
-    if length < 1e-12:
-        length = math.sqrt(az * az + ay * ay)
-        e1x, e1y, e1z = 0.0, az, -ay
-    e1x, e1y, e1z = e1x / length, e1y / length, e1z / length
-    e2x, e2y, e2z = ay * e1z - az * e1y, az * e1x - ax * e1z, ax * e1y - ay * e1x
-    frame = (e1x, e1y, e1z, e2x, e2y, e2z, ax, ay, az)
-    end, axis, before = (second[0], second[1], second[2]), (second[3], second[4], second[5]), first[3:6]
-    removed = s.floats[LEVEL_SUM]
-    lower_tilted(s, p, end, before, axis, (dx, dy, dz), frame, s.ints[FLOOR_LEVEL] >= 0)
-    s.ints[FLOOR_LEVEL] = 0  # known
-    if passes <= 0.0 or s.floats[LEVEL_SUM] == removed:
-        return 0.0, 0.0, 0.0
-    # omega = a x da; its parts along e1 and e2 are -da.e2 and da.e1
-    turn_1, turn_2 = -(bx * e2x + by * e2y + bz * e2z), bx * e1x + by * e1y + bz * e1z
-    motion = (dx * e1x + dy * e1y + dz * e1z, dx * e2x + dy * e2y + dz * e2z, sink, turn_1, turn_2)
-    part = _load(s, p, motion, frame, passes, wrench)
-    for j in range(3 if p.moments else 0):
-        wrench[3 + j] -= p.sense * part[0] * frame[6 + j]
-    return part
+def lower_nodes(s, p, base, first):
+    """Lower the nodes of the run from ``first`` to GOAL, log what they were, and fill LOST and REST."""
+    work, none, zero, one, half = s.edge.work, np.int32(0), np.float32(0), np.float32(1), np.float32(0.5)
+    total, new, least, start = np.int32(0), np.int32(0), np.int32(LEVELS), np.uint64(base + first)
+    for n in range(RUN):
+        place = start + np.uint64(n)
+        before, rest, part, goal = np.int32(s.pool[place]), s.rest[place], work[PART + n], work[GOAL + n]
+        height = goal - np.float32(rest)
+        after = np.int32(goal + half) if part >= one else np.int32(rest) + np.int32(part * height + half)
+        lost = max(after - before, none) if height > zero else none
+        s.pool[place] = np.uint16(before + lost)
+        s.rest[place] = np.uint16(after) if part >= one and lost > none else rest
+        work[LOST + n], work[REST + n] = np.float32(lost), np.float32(rest)
+        total, least = total + lost, min(least, before + lost)
+        new += np.int32(before == none and lost > none)
+    s.ints[NODES_CUT] += new
+    s.floats[LEVEL_SUM] += total * p.level_step
+    s.edge.highest[start // np.uint64(RUN)] = least
+    logged = s.ints[LOGGED]
+    s.ints[LOGGED] = LOG_LOST
+    if logged + RUN < s.log_place.size:
+        for n in range(RUN):
+            if work[LOST + n] > zero:
+                place = start + np.uint64(n)
+                s.log_place[np.uint64(logged)] = place
+                s.log_level[np.uint64(logged)] = s.pool[place] - np.uint16(work[LOST + n])
+                s.log_rest[np.uint64(logged)] = np.uint16(work[REST + n])
+                logged += 1
+        s.ints[LOGGED] = logged
 
 
 @inlined
-def _pose(pose_from, pose_to, share):
-    """Return tip and unit axis at a share of a step, six numbers."""
-    rest = 1.0 - share
-    x, y, z = (rest * pose_from[3] + share * pose_to[3], rest * pose_from[4] + share * pose_to[4],
-               rest * pose_from[5] + share * pose_to[5])  # fmt: skip
-    scale = 1.0 / math.sqrt(x * x + y * y + z * z)
-    return (
-        pose_from[0] + share * (pose_to[0] - pose_from[0]),
-        pose_from[1] + share * (pose_to[1] - pose_from[1]),
-        pose_from[2] + share * (pose_to[2] - pose_from[2]),
-        x * scale,
-        y * scale,
-        z * scale,
-    )
-
-
-@inlined
-def upright_part(s, p, x0, y0, z0, x1, y1, z1, passes, wrench):
-    """Cut along a straight move of at most a quarter of the radius; return torque, height above the tip, thrust."""
+def lower_upright(s, p, x0, y0, z0, x1, y1, z1):
+    """Lower the nodes on a straight move of at most a quarter of the radius; return motion and frame."""
     deepest, levels = p.top - min(z0, z1), 1.0 / p.level_step
-    if deepest <= 1e-3 * p.level_step or outside(p, x1, y1):
-        remember(s, x1, y1, 0)
-        return 0.0, 0.0, 0.0
-    _empty(s)
     dx, dy = x1 - x0, y1 - y0
     m = math.sqrt(dx * dx + dy * dy)
     ahead_x, ahead_y = (dx / m, dy / m) if m > 0.0 else (1.0, 0.0)
-    below, sinks = (p.top - z0) * levels, (z0 - z1) * levels
-    behind = s.ints[FLOOR_LEVEL] < 0 or sinks > 0.0 or m == 0.0  # a tool that does not sink cuts nothing behind
-    _lower(s, p, x0, y0, m / p.spacing, ahead_x, ahead_y, below, sinks, behind)
-    remember(s, x1, y1, np.int64(max((p.top - z1) * levels, 0.0)))
-    if passes <= 0.0:
-        return 0.0, 0.0, 0.0
-    frame = (ahead_x, ahead_y, 0.0, -ahead_y, ahead_x, 0.0, 0.0, 0.0, 1.0)
-    return _load(s, p, (m, 0.0, z1 - z0, 0.0, 0.0), frame, passes, wrench)
+    if deepest <= 1e-3 * p.level_step or outside(p, x1, y1):
+        remember(s, x1, y1, np.int64(0))
+    else:
+        below, sinks = (p.top - z0) * levels, (z0 - z1) * levels
+        behind = s.ints[FLOOR_LEVEL] < 0 or sinks > 0.0 or m == 0.0  # a tool that does not sink cuts nothing behind
+        _lower(s, p, x0, y0, m / p.spacing, ahead_x, ahead_y, below, sinks, behind)
+        remember(s, x1, y1, np.int64(max((p.top - z1) * levels, 0.0)))
+    return (m, 0.0, z1 - z0, 0.0, 0.0), (ahead_x, ahead_y, 0.0, -ahead_y, ahead_x, 0.0, 0.0, 0.0, 1.0)
 
 
 @inlined
-def _empty(s):
+def empty_bins(s):
     """Empty the bins."""
     for k in range(s.edge.lost.shape[0]):
         for b in range(s.edge.lost.shape[1]):
@@ -343,7 +322,7 @@ def _lead(p, slope, beside, r, entry):
 
 
 @inlined
-def _load(s, p, motion, frame, passes, wrench):
+def edge_load(s, p, motion, frame, passes, wrench):
     """Add the mean wrench of the removed bins; returns mean torque, height above the tip and thrust of the flat end.
 
     motion: of the tip along e1, e2 and a [m], rotation about e1 and e2 [rad]; frame: e1, e2 and a, nine numbers.
@@ -417,5 +396,5 @@ def _load(s, p, motion, frame, passes, wrench):
         wrench[j] += frame[j] * local_x + frame[3 + j] * local_y + frame[6 + j] * force_z
     if p.moments:
         for j in range(3):
-            wrench[3 + j] += frame[j] * moment_x + frame[3 + j] * moment_y
+            wrench[3 + j] += frame[j] * moment_x + frame[3 + j] * moment_y - p.sense * torque * frame[6 + j]
     return torque, raised / total if total > 0.0 else 0.0, thrust

@@ -29,54 +29,16 @@ import math
 import numpy as np
 
 from kr270_milling.physics.cutting.compiled import compiled, inlined, inner
-from kr270_milling.physics.cutting.engagement import BEYOND, LOG_LOST, RIM, SINES, SWING, take_tile
+from kr270_milling.physics.cutting.engagement import BEYOND, FLOOR_LEVEL, RIM, SINES, SWING, take_tile
 from kr270_milling.physics.cutting.grid import LEVELS
 from kr270_milling.physics.cutting.profile import ENTRIES, RUN
-from kr270_milling.physics.cutting.state import LEVEL_SUM, LOGGED, NODES_CUT, UNDERCUT
+from kr270_milling.physics.cutting.revolution import GOAL, LOST, PART, REST, SHARE, lower_nodes
+from kr270_milling.physics.cutting.state import UNDERCUT
 
-# Rows of ``EdgeBins.work``, a number for each node of a run
-GOAL = 0  # level of the tool; below 0: the node stays
-PART = RUN  # covered part of the cell
-SHARE = 2 * RUN  # of the step, after which the tool is lowest
-LOST = 3 * RUN  # levels that the cell loses
-REST = 4 * RUN  # level before of what the tool had not covered
+# Rows of ``EdgeBins.work`` beside those of ``revolution``
 BOUND = 5 * RUN  # level below which no node of a whole run is lowered
 FALL = 7 * RUN  # half of the difference of the levels of the tool over a cell
 NEAR = 6 * RUN  # 2: the tool covers cells of a whole run in part; 1: it did so at the start of the step
-
-
-@inlined
-def lower_nodes(s, p, base, first):
-    """Lower the nodes of the run from ``first`` to GOAL, log what they were, and fill LOST and REST."""
-    work, none, zero, one, half = s.edge.work, np.int32(0), np.float32(0), np.float32(1), np.float32(0.5)
-    total, new, least, start = np.int32(0), np.int32(0), np.int32(LEVELS), np.uint64(base + first)
-    for n in range(RUN):
-        place = start + np.uint64(n)
-        before, rest, part, goal = np.int32(s.pool[place]), s.rest[place], work[PART + n], work[GOAL + n]
-        height = goal - np.float32(rest)
-        after = np.int32(goal + half) if part >= one else np.int32(rest) + np.int32(part * height + half)
-        lost = max(after - before, none) if height > zero else none
-        s.pool[place] = np.uint16(before + lost)
-        s.rest[place] = np.uint16(after) if part >= one and lost > none else rest
-        work[LOST + n], work[REST + n] = np.float32(lost), np.float32(rest)
-        total, least = total + lost, min(least, before + lost)
-        new += np.int32(before == none and lost > none)
-    s.ints[NODES_CUT] += new
-    s.floats[LEVEL_SUM] += total * p.level_step
-    s.edge.highest[start // np.uint64(RUN)] = least
-    logged = s.ints[LOGGED]
-    s.ints[LOGGED] = LOG_LOST
-    if logged + RUN < s.log_place.size:
-        for n in range(RUN):
-            if work[LOST + n] > zero:
-                place = start + np.uint64(n)
-                s.log_place[np.uint64(logged)] = place
-                s.log_level[np.uint64(logged)] = s.pool[place] - np.uint16(work[LOST + n])
-                s.log_rest[np.uint64(logged)] = np.uint16(work[REST + n])
-                logged += 1
-        s.ints[LOGGED] = logged
-
-
 MISSED = math.inf  # height of a tool that does not cover a node
 ROUND = 4  # the same without a level end
 U, V, X, Y, Z, NU, NV, NZ, LAST, RISE, COVER, SLOPE = (RUN * k for k in range(12))  # rows of ``EdgeBins.place``
@@ -366,19 +328,67 @@ def _lowest_on_way(p, step, x, y, first, falls, last, rate, enough):
 
 
 @inlined
-def lower_tilted(s, p, tip, axis_from, axis, move, frame, follows):
-    """Lower the nodes that the tool reaches on a step that ends at ``tip`` with ``axis``, and fill the bins.
+def _pose(pose_from, pose_to, share):
+    """Return tip and unit axis at a share of a step, six numbers."""
+    rest = 1.0 - share
+    x, y, z = (rest * pose_from[3] + share * pose_to[3], rest * pose_from[4] + share * pose_to[4],
+               rest * pose_from[5] + share * pose_to[5])  # fmt: skip
+    scale = 1.0 / math.sqrt(x * x + y * y + z * z)
+    return (
+        pose_from[0] + share * (pose_to[0] - pose_from[0]),
+        pose_from[1] + share * (pose_to[1] - pose_from[1]),
+        pose_from[2] + share * (pose_to[2] - pose_from[2]),
+        x * scale,
+        y * scale,
+        z * scale,
+    )
 
-    tip, axis_from, axis, move: three numbers each; frame: e1, e2 and a in the middle of the step, nine numbers;
-    follows: as in ``_look_at_run``.
+
+@inlined
+def _way(p, first, second):
+    """Return step, frame and motion of the tool between two poses of ``_pose``.
+
+    step: move of the tip, turn of the axis, axis at the end, its change, and ``turned_axis`` of the end, 16 numbers;
+    frame, motion: as in ``edge_load``.
     """
-    tip_x, tip_y, tip_z = tip
-    ax, ay, az = axis
-    dx, dy, dz = move
-    ux, uy, sine, cosine = turned_axis(ax, ay, az)
-    bx, by, bz = ax - axis_from[0], ay - axis_from[1], az - axis_from[2]
-    wx, wy, wz = frame[7] * bz - frame[8] * by, frame[8] * bx - frame[6] * bz, frame[6] * by - frame[7] * bx
-    step = (dx, dy, dz, wx, wy, wz, ax, ay, az, bx, by, bz, ux, uy, sine, cosine)
+    dx, dy, dz = second[0] - first[0], second[1] - first[1], second[2] - first[2]
+    ax, ay, az = first[3] + second[3], first[4] + second[4], first[5] + second[5]
+    scale = 1.0 / math.sqrt(ax * ax + ay * ay + az * az)
+    ax, ay, az = ax * scale, ay * scale, az * scale
+    bx, by, bz = second[3] - first[3], second[4] - first[4], second[5] - first[5]
+    sink = dx * ax + dy * ay + dz * az
+    if abs(sink) < 1e-9 * (abs(dx) + abs(dy) + abs(dz)):  # rounding, which would press the end on the floor
+        sink = 0.0
+    e1x, e1y, e1z = dx - sink * ax + p.radius * bx, dy - sink * ay + p.radius * by, dz - sink * az + p.radius * bz
+    swing = e1x * ax + e1y * ay + e1z * az
+    e1x, e1y, e1z = e1x - swing * ax, e1y - swing * ay, e1z - swing * az
+    length = math.sqrt(e1x * e1x + e1y * e1y + e1z * e1z)
+    if length < 1e-12:
+        length = math.sqrt(az * az + ay * ay)
+        e1x, e1y, e1z = 0.0, az, -ay
+    e1x, e1y, e1z = e1x / length, e1y / length, e1z / length
+    e2x, e2y, e2z = ay * e1z - az * e1y, az * e1x - ax * e1z, ax * e1y - ay * e1x
+    # omega = a x da; its parts along e1 and e2 are -da.e2 and da.e1
+    wx, wy, wz = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
+    turn_1, turn_2 = -(bx * e2x + by * e2y + bz * e2z), bx * e1x + by * e1y + bz * e1z
+    ux, uy, sine, cosine = turned_axis(second[3], second[4], second[5])
+    step = (dx, dy, dz, wx, wy, wz, second[3], second[4], second[5], bx, by, bz, ux, uy, sine, cosine)
+    motion = (dx * e1x + dy * e1y + dz * e1z, dx * e2x + dy * e2y + dz * e2z, sink, turn_1, turn_2)
+    return step, (e1x, e1y, e1z, e2x, e2y, e2z, ax, ay, az), motion
+
+
+@inlined
+def lower_tilted(s, p, pose_from, pose_to, a, b):
+    """Lower the nodes that the tool reaches between the shares a and b of a step; return motion and frame.
+
+    pose_from, pose_to: tip and axis, (6,).
+    """
+    second = _pose(pose_from, pose_to, b)
+    step, frame, motion = _way(p, _pose(pose_from, pose_to, a), second)
+    tip_x, tip_y, tip_z, dz = second[0], second[1], second[2], step[2]
+    ux, uy, sine, cosine = step[12], step[13], step[14], step[15]
+    follows = s.ints[FLOOR_LEVEL] >= 0
+    s.ints[FLOOR_LEVEL] = 0  # known
     parts = p.profile.parts
     lowest = 1e9
     for k in range(parts.shape[0] - 1):
@@ -389,7 +399,7 @@ def lower_tilted(s, p, tip, axis_from, axis, move, frame, follows):
             lowest = min(lowest, parts[k, 1] * cosine - parts[k, 0] * sine, parts[k, 3] * cosine - parts[k, 2] * sine)
     under = p.top - tip_z - lowest + max(dz, 0.0)  # depth of the lowest point
     if under <= 1e-3 * p.level_step:
-        return
+        return motion, frame
     most = under / p.level_step
     reach = p.radius + RIM * p.spacing
     start_u = parts[0, 4] * sine if parts[0, 4] > 0.0 and parts[0, 0] < FLAT else 0.0
@@ -426,21 +436,22 @@ def lower_tilted(s, p, tip, axis_from, axis, move, frame, follows):
             if slot < 0:
                 slot = take_tile(s, i, j)
                 if slot < 0:
-                    return
+                    return motion, frame
                 place = ((np.int64(slot) << 16) | ((i & 255) << 8)) - (j & ~255)
             reached = True
             _lower_run(s, p, step, frame, tip_z, j, place, x, start)
         if reached and not reaches:  # what is below the top is convex: the rows beyond do not meet it either
             break
+    return motion, frame
 
 
-@inlined
-def _rates(p, place, step, t):
+@inner
+def _rates(parts, place, step, t):
     """Fill Z and NZ with height and rate of ``_look`` at U and V, NU and NV with the slopes along y and x."""
     dx, dy, dz, wx, wy, wz, _, _, _, bx, by, bz, _, _, _, _ = step
     turning = bx != 0.0 or by != 0.0 or bz != 0.0
     ux, uy, s, c = _axis_at(step, t)
-    _touch_run(p.profile.parts, place, s, c)
+    _touch_run(parts, place, s, c)
     for n in range(RUN):
         u, v, z, nz = place[U + n], place[V + n], place[Z + n], place[NZ + n]
         nx, ny = place[NU + n] * ux - place[NV + n] * uy, place[NU + n] * uy + place[NV + n] * ux
@@ -474,7 +485,7 @@ def _bound_runs(s, p, step, tip_z, x, start, last):
     for n in range(RUN):
         y = start + half + min(n, last) * (RUN * p.spacing)
         place[U + n], place[V + n] = x * ux + y * uy, y * ux - x * uy
-    _rates(p, place, step, 1.0)
+    _rates(p.profile.parts, place, step, 1.0)
     for n in range(RUN):
         z, slope = place[Z + n], place[NU + n]
         known = z != MISSED and not p.profile.hollow
@@ -525,7 +536,7 @@ def _look_at_run(s, p, step, tip_z, x, start, low, high, near, known, follows):
             work[PART + n] = np.float32(part if within < rim else 1.0)
             pull = max(0.02 * p.spacing - within, 0.0)
             place[U + n], place[V + n] = place[U + n] - pull * out_u, place[V + n] - pull * out_v
-    _rates(p, place, step, 1.0)
+    _rates(p.profile.parts, place, step, 1.0)
     rises = 0
     for n in range(RUN):
         hit = place[Z + n] != MISSED and first + n >= low and first + n <= high and work[PART + n] > np.float32(0.0)
@@ -547,7 +558,7 @@ def _look_at_run(s, p, step, tip_z, x, start, low, high, near, known, follows):
             _inside_run(p.profile.parts, place, s0, c0)
             for n in range(RUN):
                 place[COVER + n] = place[Z + n]
-        _rates(p, place, step, 0.0)
+        _rates(p.profile.parts, place, step, 0.0)
         for n in range(RUN):
             goal = (depth - place[Z + n]) * levels
             if place[RISE + n] > 0.0 and work[GOAL + n] > np.float32(STAYS):
