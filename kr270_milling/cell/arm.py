@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 
@@ -34,6 +34,14 @@ class PlacedArm:
         """workpiece -> base_link."""
         return self.workpiece.pose
 
+    @cached_property
+    def geometry(self) -> PlacedArm:
+        """The arm without compliances and masses, in which simulated robots differ: its joint positions are theirs."""
+        arm = self.arm.replace(joint_compliance=np.full(6, 1e-6), link_mass=np.ones(6), base_compliance=np.zeros(3))
+        still = Dynamics(mass_model="rigid", damping_ratio=0.0)
+        tool = self.tool.replace(stiffness=0.0, stick_out=0.0)
+        return PlacedArm(arm, self.mount.replace(mass=0.0), self.workpiece, still, tool, self.near)
+
     @property
     def posture(self) -> np.ndarray:
         """``near`` as an array, (6,)."""
@@ -49,11 +57,19 @@ class PlacedArm:
 
     def joints_along(self, reference: Trajectory, stamps: np.ndarray) -> np.ndarray:
         """Joint positions [rad], (n, 6), that command a trajectory at stamps (n,) [ns]."""
-        return self.joints_at(reference.sample(stamps), reference.sample_orientation(stamps))
+        return _joints_along(self.geometry, reference, stamps.tobytes())
 
     def modes_at(self, joints: np.ndarray) -> list[ModalModel]:
         """Modes at postures (n, 6) [rad], in workpiece axes."""
         return modal_models(self.arm, self.mount, self.dynamics, self.place, joints, self.tool.lateral_compliance)
+
+
+@lru_cache(maxsize=6)  # simulated robots run two or three programs, with the same stamps of gaps and of postures
+def _joints_along(arm: PlacedArm, reference: Trajectory, stamps: bytes) -> np.ndarray:
+    time_ns = np.frombuffer(stamps, np.int64)
+    joints = arm.joints_at(reference.sample(time_ns), reference.sample_orientation(time_ns))
+    joints.setflags(write=False)
+    return joints
 
 
 def mirrored(arm: PlacedArm, relaxation: float, target: Trajectory, wrench: np.ndarray) -> Trajectory:

@@ -225,7 +225,7 @@ def expected_deviations(cell: Cell, references: Sequence[Trajectory]) -> list[fl
     settings = cell.compensation
     models = dataclasses.replace(models_of(cell), arm=lambda target: robot_response(cell, target))
     learner = Learner.of_model(path_of(cell).target, models, settings.criterion, settings.smooth).expect()
-    return [learner.predicted(reference) for reference in references]
+    return learner.predicted(*references)
 
 
 def cut_along(cell: Cell, path: Trajectory) -> PassRecord:
@@ -281,13 +281,12 @@ def compensated(
     by: Compensator | None = None,
     plant: Plant | None = None,
 ) -> ScoredPass:
-    """The pass along the trajectory that ``method`` makes from the original pass.
+    """The pass along the trajectory that ``method`` makes from the original pass; without series where it is long.
 
     by: a compensator to do it with; plant: what runs the passes, the original one included.
     """
     passes: dict[int, ScoredPass] = {}
     by = by or compensator(cell, path_of(cell).target, method)
-    # its series fill 200 MB an hour: the pass of the result is run again
     large = plant is None and long_pass(path_of(cell))
     name = method_of(method).name
 
@@ -295,8 +294,8 @@ def compensated(
         for key in passes.keys() - {id(by.best)}:
             del passes[key]
         scored_pass = simulate(cell, reference, name, progress, plant)
-        if not large:
-            passes[id(reference)] = scored_pass
+        # the series fill 200 MB an hour
+        passes[id(reference)] = dataclasses.replace(scored_pass, result=None) if large else scored_pass  # type: ignore[arg-type]
         return record_of(cell, scored_pass)
 
     reference = by.improve(record_of(cell, original), run)

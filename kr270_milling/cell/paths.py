@@ -259,6 +259,15 @@ def _timed_by_controller(path: PathSection, timing: Timing) -> TimedPath:
     return read if isinstance(read, TimedPath) else time_path(read, timing)
 
 
+@functools.lru_cache(maxsize=4)
+def _timed_by_joints(fed: TimedPath, arm: PlacedArm) -> TimedPath:
+    joints = arm.joints(fed.trajectory)
+    if fed.timed_by_source:
+        return fed
+    speed, acceleration = arm.arm.joint_speed_limit, arm.arm.joint_acceleration_limit
+    return dataclasses.replace(fed, trajectory=limit_by_joints(fed.trajectory, joints, speed, acceleration))
+
+
 @dataclass(frozen=True, eq=False)
 class ProgramPath(_Programmed):
     """The tool path of ``path.file``: G-code, APT, a CSV of points or a recording."""
@@ -305,15 +314,9 @@ class ProgramPath(_Programmed):
         Raises InputError where a point is out of reach.
         """
         try:
-            joints = self.arm.joints(self.fed.trajectory)
+            return _timed_by_joints(self.fed, self.arm.geometry)
         except (ReachError, JointLimitError, SingularityError) as error:
             raise self._unreachable(error) from None
-        if self.fed.timed_by_source:
-            return self.fed
-        speed, acceleration = self.arm.arm.joint_speed_limit, self.arm.arm.joint_acceleration_limit
-        return dataclasses.replace(
-            self.fed, trajectory=limit_by_joints(self.fed.trajectory, joints, speed, acceleration)
-        )
 
     @property
     def target(self) -> Trajectory:

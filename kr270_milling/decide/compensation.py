@@ -6,6 +6,7 @@ import contextlib
 import dataclasses
 import math
 from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from typing import TypeVar
 
@@ -24,7 +25,7 @@ from kr270_milling.decide.check_cut import spring_back
 from kr270_milling.decide.decision import CAUTION, ENOUGH, NO, YES, Decision, Limit, decided, limits
 from kr270_milling.decide.findings import Finding, violation
 from kr270_milling.decide.levers import QUICK, scheduled
-from kr270_milling.decide.part.assessment import PartAssessment, assess_all, judge, um_text
+from kr270_milling.decide.part.assessment import Gauge, PartAssessment, assess_all, gauge_of, judge, um_text
 from kr270_milling.decide.programs.written import written_pass, written_trajectory
 from kr270_milling.decide.verdict import (
     CHOOSING_SEED,
@@ -96,7 +97,7 @@ def compensate(
     by = compensator(cell, path_of(cell).target, None if method == NO_METHOD else method)
     motions = tuple(motions) or (cell.krl.motion if by.chosen.smooth else "LIN",)
     motion = "LIN" if "LIN" in motions else motions[0]  # LIN motions are blended
-    planned = revised = original
+    planned = original
     if method != NO_METHOD:
         with progress("compensation", by.most_passes, by.method) as report:
             planned = compensated(cell, original, method, report, by, plant)
@@ -106,12 +107,14 @@ def compensate(
                 by.note, by.limited = reason, ()
                 name = FORMER if chosen is former else PROGRAMMED
                 planned = simulate(cell, chosen, name, progress=report, plant=plant)
-        with progress("program as written") as report:
-            revised = written_pass(cell, planned, motion, plant, report)
-    with progress("original program as written") as report:
-        programmed = written_pass(cell, original, motion, plant, report)
-    if method == NO_METHOD:
-        planned = revised = replace(programmed, name=NO_METHOD)
+    with progress("programs as written") as report, ThreadPoolExecutor(1 if plant else 2) as pool:
+
+        def written(ran: ScoredPass) -> ScoredPass:  # of a plant in this order: each pass has its number
+            return written_pass(cell, ran, motion, plant, report)
+
+        *done, programmed = pool.map(written, (original,) if method == NO_METHOD else (planned, original))
+    revised = done[0] if done else replace(programmed, name=NO_METHOD)
+    planned = planned if done else revised
     compared = original if robots and comparison is None and not long_pass(path_of(cell)) else None
     plan = planned
     if long_pass(path_of(cell)):
@@ -119,7 +122,8 @@ def compensate(
     by.first = None
     del original, planned
     with progress("surfaces"):
-        parts = () if path_of(cell).straight else assess_all(cell, (programmed, revised))
+        gauge = gauge_of(cell)
+        parts = () if path_of(cell).straight else assess_all(cell, (programmed, revised), gauge)
     limited = [
         violation("correction limited", p.wanted, p.wanted - p.missing, p.worst, sentence=limit_sentence(p, by))
         for p in by.limited
@@ -135,7 +139,7 @@ def compensate(
     judged: Verdict | None = None
     if robots:
         with progress("verdict") as report:
-            judged = _verdict(cell, compared, revised, robots, seed, report, motion)
+            judged = _verdict(cell, compared, revised, robots, seed, report, motion, gauge)
     before, after = map(lambda ran, part: judge(cell, ran, part), (programmed, revised), parts or (None, None))
     rows: tuple[Limit, ...] = ()
     if judged and judged.within is not None and judged.within < ENOUGH * robots and checked.may_be_run:
@@ -176,7 +180,14 @@ def better_program(cell: Cell, former: Trajectory, planned: Trajectory) -> tuple
 
 
 def _verdict(
-    cell: Cell, original: ScoredPass | None, revised: ScoredPass, robots: int, seed: int, report, motion: str
+    cell: Cell,
+    original: ScoredPass | None,
+    revised: ScoredPass,
+    robots: int,
+    seed: int,
+    report,
+    motion: str,
+    gauge: Gauge,
 ) -> Verdict:
     """Return the verdict of simulated robots.
 
@@ -189,7 +200,7 @@ def _verdict(
         with contextlib.suppress(MillingError):
             programs[name] = written_trajectory(cell, run, motion if run.velocity is not None else "LIN")
     program = written_trajectory(cell, revised.reference, motion)
-    return monte_carlo(cell, program, robots, seed, progress=report, method=revised.name, others=programs)
+    return monte_carlo(cell, program, robots, seed, progress=report, method=revised.name, others=programs, gauge=gauge)
 
 
 FORMER, PROGRAMMED = "former", "as_programmed"  #: names of a program that stays, and of one without a correction

@@ -21,8 +21,7 @@ from kr270_milling.cell.jobs import PLANNED, compensated, compensator, simulate
 from kr270_milling.cell.models import path_of
 from kr270_milling.cell.plant import coarser
 from kr270_milling.decide.decision import ENOUGH
-from kr270_milling.decide.part.assessment import Judgement, assess_result, judge_part
-from kr270_milling.decide.part.surface import ideal_part, stations_of
+from kr270_milling.decide.part.assessment import Judgement, assess_result, gauge_of, judge_part
 from kr270_milling.decide.programs.written import written_trajectory
 from kr270_milling.decide.verdict import CHOOSING_SEED, NO_METHOD, drawn_errors, each_robot, run_sample
 from kr270_milling.path.toolpath import Toolpath
@@ -226,10 +225,8 @@ def _loads(
     spindle; 0 of a robot that fails. Also returns the error of each robot as a share of the tolerance, (robots,).
     """
     nominal = coarser(cell)
-    path = path_of(nominal)
-    stamps = path.clock.stamp(np.arange(path.clock.steps(path.target.duration_ns) + 1))
-    along = stations_of(path, stamps)
-    ideal = ideal_part(nominal, along, path.target.sample(stamps))
+    path, gauge = path_of(nominal), gauge_of(nominal)
+    stamps, along, ideal = gauge.stamps, gauge.path, gauge.ideal
     distance, length, every = along.distance, float(ends[-1]), path.length
     if cell.compensation.finish:
         again = (every - length) / cell.compensation.finish

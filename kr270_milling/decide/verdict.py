@@ -26,14 +26,22 @@ from kr270_milling.cell.jobs import (
 )
 from kr270_milling.cell.models import arm_model_of, cut_of, flat_floors, path_of
 from kr270_milling.cell.plant import DIVERGED, Plant, coarser, cores, imperfect_arm, imperfect_course, perturbed
-from kr270_milling.decide.part.assessment import NORMAL_ERROR, PATH_DEVIATION, SURFACE_ERROR, Gauge, gauge_of
+from kr270_milling.decide.part.assessment import (
+    NORMAL_ERROR,
+    PATH_DEVIATION,
+    SURFACE_ERROR,
+    Gauge,
+    Judgement,
+    gauge_of,
+)
 from kr270_milling.path.trajectory import Trajectory
 from kr270_milling.physics.compensation.methods import LEARNED, methods
 from kr270_milling.physics.motion.dynamics import ArmModel
-from kr270_milling.physics.motion.milling_pass import run_pass
+from kr270_milling.physics.motion.milling_pass import PassResult, run_pass
 from kr270_milling.physics.motion.scores import path_deviation
 
 Row = TypeVar("Row")
+Judging = Callable[[PassResult], Judgement]  #: a gauge, or a function that watches the passes, too
 
 HELPS, INDIFFERENT, UNTRUSTED = "helps", "does not matter", "cannot be trusted here"
 LEVELS = (0.05, 0.5, 0.95)
@@ -223,6 +231,7 @@ def monte_carlo(
     progress: Callable[[int, int], None] | None = None,
     method: str = "compensated",
     others: dict[str, Trajectory] | None = None,
+    gauge: Gauge | None = None,
 ) -> Verdict:
     """Run ``samples`` plants drawn from ``cell.uncertainty`` along the cell's target and along the revised trajectory.
 
@@ -235,7 +244,7 @@ def monte_carlo(
     if not (hasattr(samples, "__index__") and samples >= 1):
         raise ParameterError("samples", samples, "a whole number of at least 1")
     target, straight = path_of(cell).target, path_of(cell).straight
-    references = {method: revised, **(others or {})}
+    references, full_gauge = {method: revised, **(others or {})}, gauge or gauge_of(cell)
     learning = FEWEST if others and straight else 0  # plants that also learn
     comparing = samples if straight else FEWEST  # plants that also run the other methods
 
@@ -248,7 +257,7 @@ def monte_carlo(
             progress(work(done), work(samples))
 
     def drawn(nominal: Cell) -> list[tuple[np.ndarray, float | None]]:
-        gauge = gauge_of(nominal)
+        gauge = full_gauge if nominal.stock is cell.stock else gauge_of(nominal)  # on another map another one
 
         def run(k: int, plant: Cell) -> tuple[np.ndarray, float | None]:
             chosen = list(references.values()) if k < comparing else [revised]
@@ -261,10 +270,9 @@ def monte_carlo(
     robots = drawn(quick)
     rows = np.stack([row[:2] for row, _ in robots])
     if quick is not cell:
-        gauge = gauge_of(cell)
 
         def full_error(_: int, robot: Cell) -> float:
-            return float(run_sample(robot, target, [revised], gauge, 1)[0, 0])
+            return float(run_sample(robot, target, [revised], full_gauge, 1)[0, 0])
 
         full = np.array(each_robot(cell, min(CHECKED, samples), seed, full_error, lambda done: None))
         both = rows[: len(full), 1, 0]
@@ -350,7 +358,7 @@ def drawn_errors(
 
 
 def run_sample(
-    plant: Cell, target: Trajectory, references: Sequence[Trajectory], gauge: Gauge, first: int = 0
+    plant: Cell, target: Trajectory, references: Sequence[Trajectory], gauge: Judging, first: int = 0
 ) -> np.ndarray:
     """The error [m] of one plant along k references, and its share of the tolerance, (k, 2).
 
@@ -372,7 +380,7 @@ def _errors(
     target: Trajectory,
     reference: Trajectory,
     number: int,
-    gauge: Gauge,
+    gauge: Judging,
 ) -> tuple[float, float]:
     """The error [m] of a pass, by its number, and its share of the tolerance; NaN where the plant is unstable."""
     cut = cut_of(plant)

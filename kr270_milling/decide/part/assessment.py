@@ -7,7 +7,7 @@ no part: the quantity is the largest path deviation.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
@@ -156,16 +156,13 @@ def assess_result(
     )
 
 
-def assess_all(cell: Cell, passes: Sequence[ScoredPass]) -> tuple[PartAssessment, ...]:
-    """Several passes of one cell, two at a time; stations and part of the rigid arm are computed once."""
-    first = passes[0].result
-    path = stations_of(path_of(cell), first.time_ns)
-    ideal = ideal_part(cell, path, first.target)
+def assess_all(cell: Cell, passes: Sequence[ScoredPass], gauge: Gauge | None = None) -> tuple[PartAssessment, ...]:
+    """Several passes of one cell, two at a time; gauge: of the cell, with what all passes along its target share."""
+    gauge = gauge or gauge_of(cell)
 
     def assessed(ran: ScoredPass) -> PartAssessment:
-        result = ran.result
-        same = np.array_equal(result.time_ns, first.time_ns) and np.array_equal(result.target, first.target)
-        return assess(cell, ran, ideal, path) if same else assess(cell, ran)
+        same = np.array_equal(ran.result.time_ns, gauge.stamps)
+        return assess(cell, ran, gauge.ideal, gauge.path) if same else assess(cell, ran)
 
     with ThreadPoolExecutor(2) as pool:  # the sweep of a workpiece runs without the interpreter's lock
         return tuple(pool.map(assessed, passes))
@@ -221,21 +218,32 @@ def um_text(length: float) -> str:
     return f"{1e6 * length:.0f} um" if length >= 1e-3 else f"{1e6 * length:.3g} um"
 
 
-Gauge = Callable[[PassResult], Judgement]  #: judges a pass along a target
+@dataclass(frozen=True, eq=False)
+class Gauge:
+    """Judges passes along the target of a cell, of that cell and of its plants.
+
+    ``heights`` of a pass spare a sweep of its workpiece.
+    """
+
+    cell: Cell
+    stamps: np.ndarray  #: ends of the exchange periods [ns], (n + 1,)
+    path: Stations
+    ideal: IdealPart  #: part of the rigid arm; None: of a straight cut
+
+    def __call__(self, result: PassResult) -> Judgement:
+        cell = self.cell
+        if path_of(cell).straight:
+            return _judge_straight_cut(cell, result, _largest_deviation(cell, result))
+        return judge_part(cell.tolerances, assess_result(cell, "", result, self.ideal, self.path))
 
 
 def gauge_of(cell: Cell) -> Gauge:
-    """Return the function that judges passes along the target of a cell, of that cell and of its plants.
-
-    It sweeps the part of the rigid arm once. ``heights`` of a pass spare a sweep of its workpiece.
-    """
+    """Return the gauge of a cell. It sweeps the part of the rigid arm once."""
     path = path_of(cell)
-    if path.straight:
-        return lambda result: _judge_straight_cut(cell, result, _largest_deviation(cell, result))
     stamps = path.clock.stamp(np.arange(path.clock.steps(path.target.duration_ns) + 1))
     along = stations_of(path, stamps)
-    ideal = ideal_part(cell, along, path.target.sample(stamps))
-    return lambda result: judge_part(cell.tolerances, assess_result(cell, "", result, ideal, along))
+    ideal = None if path.straight else ideal_part(cell, along, path.target.sample(stamps))
+    return Gauge(cell, stamps, along, ideal)  # type: ignore[arg-type]
 
 
 def judge(cell: Cell, ran: ScoredPass, part: PartAssessment | None = None) -> Judgement:

@@ -156,7 +156,7 @@ class Compensator:
 
     def _refuse_worse(self, learner: Learner) -> None:
         """Make no correction whose predicted error is above that of no compensation."""
-        predicted, none = learner.predicted(self.reference), learner.predicted(self.target)
+        predicted, none = learner.predicted(self.reference, self.target)
         if predicted > none:
             self.reference, self.limited = self.target, ()
             self.note = (

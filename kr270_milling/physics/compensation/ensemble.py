@@ -8,18 +8,14 @@ of the tool in each part and to [u, p, y, y'] at the next knot. The compiled loo
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 from numba import njit
 
-from kr270_milling.physics.compensation.lifted import KnotConditions, Lifted, outputs, transitions, units
+from kr270_milling.physics.compensation.lifted import KnotConditions, Lifted, in_windows, outputs, transitions, units
 from kr270_milling.physics.compensation.response import ArmResponse, Segments
 
-WINDOW = 4096  #: segments that are solved at once
-REACH = 3.0  #: [s], before and after a window: so long two corrections of the same deviation differ
 STEPS = 30  #: most conjugate gradients
 
 
@@ -48,18 +44,16 @@ def least_mean_square(
     # assumed: robots that differ in frequency answer in the mean as one with three times the damping
     mean = arm.scaled(between, 3.0).modes(slow)
     unit = units(mean, segments)
-    cubic, beside = np.zeros((m, 4, 3)), int(np.ceil(REACH / np.median(segments.duration)))
+    cubic = np.zeros((m, 4, 3))
     # each kind of segment has 250 kB of matrices: short windows where many segments are a kind by themselves
     posture, steps = robots[0][0].posture, np.diff(segments.time_ns)
     varied = posture is None or np.mean((np.diff(posture) != 0) | (np.diff(steps) != 0)) > 0.1
-    window = WINDOW // 8 if varied else WINDOW
 
-    def solve(first: int) -> None:
-        inner = slice(first, min(first + window, m))
-        part = slice(max(0, inner.start - beside), min(m, inner.stop + beside))
-        lifted = Lifted(mean.cut(part), segments.cut(part), conditions.cut(part), unit)
+    def solve(window: tuple[slice, slice]) -> None:
+        inner, part = window
+        model = Lifted(mean.cut(part), segments.cut(part), conditions.cut(part), unit)
         ensemble = Ensemble(robots, shares, segments, weight, part)
-        precondition = lifted.prepared(weight[part], smoothness)
+        precondition = model.prepared(weight[part], smoothness)
         solution = np.zeros((part.stop - part.start, 4, 3))
         rest, direction, before = ensemble.slope(solution, 1.0), solution, np.inf
         for _ in range(STEPS):
@@ -68,13 +62,12 @@ def least_mean_square(
             if not gain > settled * len(solution) / m:
                 break
             direction = better + gain / before * direction
-            bent = ensemble.slope(direction, 0.0) + lifted.roughness(direction, smoothness)
+            bent = ensemble.slope(direction, 0.0) + model.roughness(direction, smoothness)
             step = gain / np.sum(direction * bent)
             solution, rest, before = solution + step * direction, rest + step * bent, gain
         cubic[inner] = solution[inner.start - part.start :][: inner.stop - inner.start]
 
-    with ThreadPoolExecutor(len(os.sched_getaffinity(0))) as pool:
-        list(pool.map(solve, range(0, m, window)))
+    in_windows(segments, solve, 8 if varied else 1)
     return cubic
 
 

@@ -330,7 +330,7 @@ class Learner:
     def _expected(self) -> np.ndarray:
         """Deviation [m], (m, parts, 3), of a tool that runs on its path without a correction of the reference."""
         segments, last = self.segments, self.passes[-1]
-        ideal = self.arm.swing(segments, self.path, self.path[0, 1])
+        ideal = swing = self.arm.swing(segments, self.path, self.path[0, 1])
         if last.on_path is not None:
             ideal = ideal + self.arm.deflect(segments, last.on_path)
         shares = np.zeros(len(self.passes))
@@ -338,9 +338,14 @@ class Learner:
             size = np.sqrt(np.mean(evidence.deviation[self.scored] ** 2)) if self.scored.any() else 0.0
             shares[n] = 1.0 / (self._noise**2 + (MISFIT * size) ** 2 + 1e-24)
         shares /= shares.sum()
-        rest = np.zeros_like(ideal)
-        for weight, evidence in zip(shares, self.passes, strict=True):
-            rest += weight * (evidence.deviation - self._modelled(evidence))
+
+        def mean(values) -> np.ndarray:  # the response of the arm to the mean is the mean of its responses
+            return sum((share * value for share, value in zip(shares, values, strict=True)), np.zeros(1))
+
+        rest = mean(evidence.deviation for evidence in self.passes) - swing
+        rest -= self.arm.follow(segments, mean(evidence.cubic for evidence in self.passes))
+        if self.passes[0].wrench is not None:
+            rest -= self.arm.deflect(segments, mean(evidence.wrench for evidence in self.passes))
         noise = self._noise**2 * np.sum(shares**2)
         if noise:  # the mean over a knot's distance, of which a correction can make use
             width = segments.parts
@@ -371,12 +376,6 @@ class Learner:
             return wrench
         factor = max(0.0, np.sum(wrench[..., :3] * modelled[..., :3]) / np.sum(modelled[..., :3] ** 2))
         return wrench + factor * (self._ideal - modelled)
-
-    def _modelled(self, evidence: Evidence) -> np.ndarray:
-        """Deviation [m], (m, parts, 3), that the arm explains: under the wrench, its inertia and the correction."""
-        arm, segments = self.arm, self.segments
-        moved = arm.swing(segments, self.path, self.path[0, 1]) + arm.follow(segments, evidence.cubic)
-        return moved if evidence.wrench is None else moved + arm.deflect(segments, evidence.wrench)
 
     def correction(self) -> np.ndarray:
         """Values [m] at the knots, (k, 3), for the motion of a program: a C2 spline, or straight lines."""
@@ -452,16 +451,17 @@ class Learner:
         swing = self.arm.swing(self.segments, self.path, self.path[0, 1]).reshape(-1, 3)
         return float(np.linalg.norm(swing[self.segments.part_of(np.array([round(time * 1e9)]))[0]]))
 
-    def predicted(self, reference: Trajectory) -> float:
-        """Largest deviation across the feed [m] that the model expects along ``reference`` where it is scored.
+    def predicted(self, *references: Trajectory) -> list[float]:
+        """Largest deviation across the feed [m] that the model expects along each reference where it is scored.
 
         With an ensemble of robots the root mean square of their largest deviations.
         """
-        cubic, weight = self.cubic(reference), self._weight()
-        robots = self.ensemble or [(self.arm, self.expected)]
-        change = cubic - self._ran if self.ensemble else cubic
-        deviations = (deviation + arm.follow(self.segments, change) for arm, deviation in robots)
-        return float(np.sqrt(np.mean([self._largest(left, weight) for left in deviations])))
+        weight, robots, sizes = self._weight(), self.ensemble or [(self.arm, self.expected)], []
+        for reference in references:
+            change = self.cubic(reference) - (self._ran if self.ensemble else 0.0)
+            deviations = (deviation + arm.follow(self.segments, change) for arm, deviation in robots)
+            sizes.append(float(np.sqrt(np.mean([self._largest(left, weight) for left in deviations]))))
+        return sizes
 
     def _largest(self, deviation: np.ndarray, weight: np.ndarray) -> float:
         """Largest square [m^2] of a deviation (m, parts, 3) where it is scored."""

@@ -5,8 +5,8 @@ of the arm. The sum of (d0 + H c)^T W (d0 + H c) and of the smoothness is made l
 (dynamic programming, [Bryson1975]): what is left to pay from a knot on is x^T P x / 2 + p^T x of the state x there. So
 nothing of a slowly decaying response is cut off, and the cost is linear in the length of the path.
 
-The matrices of a segment take 12 kB, the policy 1 kB. They are made for a block of segments at a time, and again on the
-way forward, so that a long program needs no more memory for them than a short one.
+The matrices of a segment take 12 kB, the policy 1 kB. Windows of the path are solved one by one, each together with the
+path beside it: memory does not grow with the path, and each core solves a window.
 
 The numbers of one segment are y = [u, u', c, v, a, j]: relative modal coordinates of the arm and their rates, and the
 cubic of the correction, 2 r + 12 of them; the state x at a knot is y without j. Where the correction is smooth j is
@@ -15,7 +15,10 @@ free; where the target stops the correction has no slope; straight lines have a 
 
 from __future__ import annotations
 
+import functools
+import os
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import cast
 
@@ -24,6 +27,8 @@ from numba import njit
 
 from kr270_milling.physics.compensation.response import ArmResponse, Segments
 
+WINDOW = 4096  #: segments that are solved at once
+REACH = 3.0  #: [s], before and after a window: so long two corrections of the same deviation differ
 CONTROLS = 6  #: most free numbers of a segment: a and j after a stop
 TINY = 1e-12  #: share of the trace: keeps numbers that no sample shows from making a matrix singular
 
@@ -39,6 +44,15 @@ class KnotConditions:
     def cut(self, part: slice) -> KnotConditions:
         """Return the conditions of the segments of ``part``."""
         return KnotConditions(self.smooth, self.resting[part.start : part.stop + 1], self.fixed[part])
+
+
+def in_windows(segments: Segments, solve: Callable[[tuple[slice, slice]], object], shorter: int = 1) -> None:
+    """Call ``solve`` for windows of a path: WINDOW / ``shorter`` segments, and these with the path beside them."""
+    m, beside, size = len(segments), int(np.ceil(REACH / np.median(segments.duration))), WINDOW // shorter
+    inner = [slice(first, min(first + size, m)) for first in range(0, m, size)]
+    windows = [(part, slice(max(0, part.start - beside), min(m, part.stop + beside))) for part in inner]
+    with ThreadPoolExecutor(len(os.sched_getaffinity(0))) as pool:
+        list(pool.map(solve, windows))
 
 
 def knots(segments: Segments, cubic: np.ndarray) -> np.ndarray:
@@ -60,16 +74,13 @@ class Lifted:
         self.order, self.smooth = arm.order, conditions.smooth
         self._arm, self._segments, self._conditions = arm, segments, conditions
         self._unit = units(arm, segments) if unit is None else unit
-        self._made: tuple[int, tuple[np.ndarray, ...]] | None = None
 
-    def _matrices(self, part: slice) -> tuple[np.ndarray, ...]:
-        """Outputs, transitions, given and free numbers of a block of segments."""
-        if self._made is None or self._made[0] != part.start:
-            arm, segments, conditions = self._arm.cut(part), self._segments.cut(part), self._conditions.cut(part)
-            step = transitions(arm, segments) * self._unit / self._unit[: 2 * self.order + 9, None]
-            chosen = choices(arm, segments, conditions, self._unit, part.start == 0)
-            self._made = part.start, (outputs(arm, segments) * self._unit, step, *chosen)
-        return self._made[1]
+    @functools.cached_property
+    def _matrices(self) -> tuple[np.ndarray, ...]:
+        """Outputs, transitions, given and free numbers of the segments."""
+        step = transitions(self._arm, self._segments) * self._unit / self._unit[: 2 * self.order + 9, None]
+        chosen = choices(self._arm, self._segments, self._conditions, self._unit)
+        return outputs(self._arm, self._segments) * self._unit, step, *chosen
 
     def least_squares(
         self, deviation: np.ndarray, weight: np.ndarray, smoothness: float
@@ -81,58 +92,52 @@ class Lifted:
         smoothness: weight of the change of the correction's third (of straight lines: second) difference over a
         segment of the usual length.
         """
-        m, size = len(self._segments), 2 * self.order + 9
-        later, linear = np.zeros((size, size)), np.zeros(size)
-        blocks, ends = list(self._segments.blocks()), []  # P and p of the last knot of each block
+        cubic, left = np.zeros((len(self._segments), 4, 3)), np.array(deviation)
 
-        def go_back(part: slice, later: np.ndarray, linear: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-            """Policy and push of a block; P and p of its last knot become those of its first."""
-            policy, factor = self._policy(part, weight[part], smoothness, later)
-            output, step, from_state, free = self._matrices(part)
-            forced = (weight[part] @ deviation[part, ..., None]).reshape(len(step), 1, -1)
-            slope = (forced @ output.reshape(len(step), -1, size + 3))[:, 0]
-            push = np.zeros((len(step), CONTROLS))
-            _backward_slope(slope, step, from_state, free, policy, factor, linear, push)
-            return policy, push
+        def solve(window: tuple[slice, slice]) -> None:
+            inner, part = window
+            rows = slice(inner.start - part.start, inner.stop - part.start)
+            small = Lifted(self._arm.cut(part), self._segments.cut(part), self._conditions.cut(part), self._unit)
+            output = small._matrices[0]
+            forced = (weight[part] @ deviation[part, ..., None]).reshape(len(output), 1, -1)
+            slope = forced @ output.reshape(len(output), forced.shape[2], -1)
+            local = small._solver(weight[part], smoothness)(slope[:, 0])[rows]
+            left[inner] += (output[rows] @ local[:, None, :, None])[..., 0]
+            cubic[inner] = (local * self._unit)[:, -12:].reshape(-1, 4, 3)
 
-        for part in reversed(blocks):
-            ends.append((later.copy(), linear.copy()))
-            first = go_back(part, later, linear)  # at the end that of the first block
-        state = self._start(later, linear)
-        cubic, left = np.zeros((m, 4, 3)), np.array(deviation)
-        for part in blocks:
-            end = ends.pop()
-            policy, push = first if part.start == 0 else go_back(part, *end)
-            output, step, from_state, free = self._matrices(part)
-            local = np.zeros((len(step), size + 3))
-            _forward(step, from_state, free, policy, push, state, local)
-            left[part] += (output @ local[:, None, :, None])[..., 0]
-            cubic[part] = (local * self._unit)[:, -12:].reshape(-1, 4, 3)
+        in_windows(self._segments, solve)
         return cubic, left
 
     def prepared(self, weight: np.ndarray, smoothness: float) -> Callable[[np.ndarray], np.ndarray]:
-        """Return the function from the slope of a cost by the cubics (m, 4, 3) to the cubics that are best with it.
+        """Return the function from the slope of a cost by the cubics (m, 4, 3) to the cubics that are best with it."""
+        solve, m = self._solver(weight, smoothness), len(self._segments)
 
-        Of segments that are one block: the matrices are made once.
-        """
-        part, size = slice(0, len(self._segments)), 2 * self.order + 9
+        def best(slope: np.ndarray) -> np.ndarray:
+            local = np.zeros((m, self._unit.size))
+            local[:, -12:] = slope.reshape(-1, 12) * self._unit[-12:]
+            return (solve(local) * self._unit)[:, -12:].reshape(-1, 4, 3)
+
+        return best
+
+    def _solver(self, weight: np.ndarray, smoothness: float) -> Callable[[np.ndarray], np.ndarray]:
+        """Return the function from the slope of half a cost by y, (m, y), to the best y, (m, y), in units."""
+        size = 2 * self.order + 9
         later = np.zeros((size, size))
-        policy, factor = self._policy(part, weight, smoothness, later)
-        _, step, from_state, free = self._matrices(part)
+        policy, factor = self._policy(weight, smoothness, later)
+        _, step, from_state, free = self._matrices
 
         def solve(slope: np.ndarray) -> np.ndarray:
-            linear, push, local = np.zeros(size), np.zeros((len(step), CONTROLS)), np.zeros((len(step), size + 3))
-            local[:, -12:] = slope.reshape(-1, 12) * self._unit[-12:]
-            _backward_slope(local, step, from_state, free, policy, factor, linear, push)
+            linear, push, local = np.zeros(size), np.zeros((len(step), CONTROLS)), np.zeros(slope.shape)
+            _backward_slope(slope, step, from_state, free, policy, factor, linear, push)
             _forward(step, from_state, free, policy, push, self._start(later, linear), local)
-            return (local * self._unit)[:, -12:].reshape(-1, 4, 3)
+            return local
 
         return solve
 
-    def _policy(self, part: slice, weight: np.ndarray, smoothness: float, later: np.ndarray):
-        """Policy of a block and factors of what is free; P of its last knot becomes that of its first."""
+    def _policy(self, weight: np.ndarray, smoothness: float, later: np.ndarray):
+        """Policy and factors of what is free; P of the last knot becomes that of the first."""
         size = len(later)
-        output, step, from_state, free = self._matrices(part)
+        output, step, from_state, free = self._matrices
         moved = output.reshape(len(output), -1, size + 3)
         cost = np.swapaxes(moved, 1, 2) @ (weight @ output).reshape(moved.shape)
         bend = np.zeros((size + CONTROLS, size + CONTROLS))
@@ -341,19 +346,16 @@ def transitions(arm: ArmResponse, segments: Segments) -> np.ndarray:
 
 
 def choices(
-    arm: ArmResponse, segments: Segments, conditions: KnotConditions, unit: np.ndarray, first: bool = True
+    arm: ArmResponse, segments: Segments, conditions: KnotConditions, unit: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """y of a segment, in units, from the state x that arrives and from what is free there: (m, y, x), (m, y, CONTROLS).
-
-    first: the segments are those from the first knot of the path on.
-    """
+    """y of a segment, in units, from the arriving state x and from what is free there: (m, y, x), (m, y, CONTROLS)."""
     m, r = len(segments), arm.order
     from_state, free = np.zeros((m, 2 * r + 12, 2 * r + 9)), np.zeros((m, 2 * r + 12, CONTROLS))
     from_state[:, : 2 * r + 3, : 2 * r + 3] = np.eye(2 * r + 3)
     if conditions.smooth:
         _smooth(from_state, free, segments.duration * unit[2 * r + 3], conditions, r)
     else:
-        _straight(from_state, free, conditions, _jump(arm, unit), r, first)
+        _straight(from_state, free, conditions, _jump(arm, unit), r)
     return from_state, free
 
 
@@ -385,9 +387,9 @@ def _smooth(from_state, free, time, conditions: KnotConditions, r: int) -> None:
     free[moving & ~stops, j, :3] = np.eye(3)
 
 
-def _straight(from_state, free, conditions: KnotConditions, jump: np.ndarray, r: int, first: bool) -> None:
+def _straight(from_state, free, conditions: KnotConditions, jump: np.ndarray, r: int) -> None:
     v, rate = slice(2 * r + 3, 2 * r + 6), slice(r, 2 * r)
-    corner = np.arange(len(from_state)) >= int(first)
+    corner = np.arange(len(from_state)) >= 1  # at the first knot the slope is that of the first state
     from_state[~corner, v, v] = np.eye(3)
     from_state[corner, rate, v] = -jump[corner]  # at a corner u' jumps by -dv
     k = corner & ~conditions.fixed

@@ -15,7 +15,7 @@ from kr270_milling import read_cell
 from kr270_milling.cell.jobs import arm_response, simulate
 from kr270_milling.cell.models import path_of
 from kr270_milling.path.trajectory import Trajectory
-from kr270_milling.physics.compensation import ensemble, learning, response
+from kr270_milling.physics.compensation import learning, lifted, response
 from kr270_milling.physics.compensation.ensemble import Ensemble, least_mean_square
 from kr270_milling.physics.compensation.learning import Evidence, fit_arm
 from kr270_milling.physics.compensation.lifted import KnotConditions, Lifted, knots
@@ -127,10 +127,16 @@ def test_windows_of_the_path_find_the_least_mean_square_of_the_whole_path(smooth
     weight = np.broadcast_to(np.eye(3), (m, 4, 3, 3))
     arm = one_mode().cut(np.zeros(m, int))
     numbers = arm, segments, conditions, robots, SHARES, weight, 1e-1, 1e-24
-    whole = knots(segments, least_mean_square(*numbers))
-    monkeypatch.setattr(ensemble, "WINDOW", 8 * 80)
-    monkeypatch.setattr(ensemble, "REACH", 6.0)
-    np.testing.assert_allclose(knots(segments, least_mean_square(*numbers)), whole, atol=1e-4 * np.abs(whole).max())
+
+    def solved(shorter: int) -> tuple[np.ndarray, ...]:
+        monkeypatch.setattr(lifted, "WINDOW", lifted.WINDOW // shorter)
+        model = Lifted(arm, segments, conditions).least_squares(deviation[0], weight, 1e-1)
+        return knots(segments, least_mean_square(*numbers)), knots(segments, model[0]), model[1]
+
+    whole = solved(1)
+    monkeypatch.setattr(lifted, "REACH", 6.0)
+    for path, in_windows in zip(whole, solved(51), strict=True):
+        np.testing.assert_allclose(in_windows, path, atol=1e-4 * np.abs(path).max())
 
 
 def test_under_a_wrench_the_tool_gives_way_by_the_filter_of_its_mode_and_at_last_by_its_compliance():
