@@ -311,9 +311,11 @@ class ProgramPath(_Programmed):
         if self.fed.timed_by_source:
             return self.fed
         speed, acceleration = self.arm.arm.joint_speed_limit, self.arm.arm.joint_acceleration_limit
-        return dataclasses.replace(
-            self.fed, trajectory=limit_by_joints(self.fed.trajectory, joints, speed, acceleration)
-        )
+        slowed = limit_by_joints(self.fed.trajectory, joints, speed, acceleration)
+        if slowed is not self.fed.trajectory:
+            name = f"{self.path.file}, slowed down by the limits of the joints"
+            check_duration(name, slowed, self.exchange, self.tool, self.stock, self.by_teeth)
+        return dataclasses.replace(self.fed, trajectory=slowed)
 
     @property
     def target(self) -> Trajectory:
