@@ -272,7 +272,7 @@ def test_a_force_law_that_cannot_be_used_has_a_fault(members, sentence):
 
 
 def test_a_force_that_raises_is_a_fault_and_one_that_cannot_be_compiled_is_refused_in_one_sentence():
-    """Compiled code prints an error that it raises and goes on with a force of 0."""
+    """Compiled code prints an error that it raises and continues with a force of 0."""
 
     def raises(h, slope):
         assert h < 1.0

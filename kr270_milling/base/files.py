@@ -148,6 +148,7 @@ def fresh_directory(out) -> Path:
     raise FileExistsError(f"{out}: contains too many runs")
 
 
+LONGEST_LINE = 4096  #: characters; controls take 80 to 512
 MOST_BYTES = 1 << 30  # the file is read at once; a block of a tool path has some 30 bytes
 
 
@@ -175,7 +176,12 @@ def read_lines(path) -> list[str]:
         line = before.count(b"\n") + before.count(b"\r") + 1
         raise InputError(path, "holds a zero byte, so it is no text file", line)
     text = data.decode(encoding_of(data)).removeprefix("\ufeff")
-    return text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
+    lines = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
+    sizes = list(map(len, lines))
+    if max(sizes) > LONGEST_LINE:
+        line = next(n for n, size in enumerate(sizes, 1) if size > LONGEST_LINE)
+        raise InputError(path, f"the line has {sizes[line - 1]} characters, more than {LONGEST_LINE}", line)
+    return lines
 
 
 def encoding_of(data: bytes) -> str:

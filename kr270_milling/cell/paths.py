@@ -314,9 +314,13 @@ class ProgramPath(_Programmed):
         Raises InputError where a point is out of reach.
         """
         try:
-            return _timed_by_joints(self.fed, self.arm.geometry)
+            timed = _timed_by_joints(self.fed, self.arm.geometry)
         except (ReachError, JointLimitError, SingularityError) as error:
             raise self._unreachable(error) from None
+        if timed.trajectory is not self.fed.trajectory:
+            name = f"{self.path.file}, slowed down by the limits of the joints"
+            check_duration(name, timed.trajectory, self.exchange, self.tool, self.stock, self.by_teeth)
+        return timed
 
     @property
     def target(self) -> Trajectory:

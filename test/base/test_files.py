@@ -120,6 +120,7 @@ def test_a_set_of_files_appears_whole_or_not_at_all(tmp_path):
         ("G0 X1\nG1 X2\n".encode("utf-16"), 1, "UTF-16"),
         ("G0 X1\nG1 X2\n".encode("utf-16-be"), 1, "zero byte"),
         (b"G0\n\n\nG1 \x00\n", 4, "zero byte"),
+        (b"G0\n(" + 4096 * b"a" + b")\n", 2, "the line has 4098 characters, more than 4096"),
     ],
 )
 def test_what_is_no_text_is_refused_with_its_first_bad_line_and_every_line_end_is_read(tmp_path, data, line, word):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import math
 import re
@@ -271,6 +272,16 @@ def test_a_tool_is_described_by_its_comment(comment, unit, name, diameter, teeth
         assert described_tool(other, unit) is None
     assert (tool.name, tool.teeth, tool.description) == (name, teeth, kind)
     assert tool.diameter == pytest.approx(diameter)
+
+
+@pytest.mark.parametrize("signs", [" ", "A", "_", "(", "[", "1", "/", "=", "A1", "1/2 ", "X1 ", "R1=", "A(", "MSG("])
+def test_the_longest_line_that_is_read_takes_no_more_than_some_milliseconds(read, signs):
+    """Of a row of signs, a comment on the tool, and the name of a word: patterns that try each part of it."""
+    row, begin = (4000 * signs)[:4000], time.process_time()
+    for line in (f"G1 X40 {row}", f"({row})", f"(T1 D=10 {row})", f"{row}=5"):
+        with contextlib.suppress(ProgramError):
+            read(f"{line}\nG0 X0 Y0 Z5\nG1 X9 F100\n")
+    assert time.process_time() - begin < 4.0  # a second each, on a busy machine; a square of the length takes minutes
 
 
 def test_the_one_described_tool_is_the_tool_of_a_program_without_a_t_word(read):

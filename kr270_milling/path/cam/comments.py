@@ -7,6 +7,7 @@ import re
 from kr270_milling.path.source_program import ProgramTool
 
 NUMBER = r"((?<![0-9])[0-9]+(?:\.[0-9]*)?|\.[0-9]+)"  # one start and one end in a row of digits
+LONGEST = 300  #: characters of a comment on a tool; the patterns below take the square of the length
 #: lines by which posts announce an operation: FreeCAD, OpenBuilds, Vectric, Estlcam, CATIA
 ANNOUNCED = re.compile(
     r"(?:begin operation|toolpath ?(?:name)?|operation(?: \d+ of \d+| name)?|op(?: ?\d+)?)\s*[:=]-?\s*(\S.*)",
@@ -146,7 +147,8 @@ def kind_of(words: str) -> str:
 
     A mill with a name that is in no list is a kind.
     """
-    words = re.sub(r"\bTAPER=", "", words.replace("_", " "), flags=re.I)  # the angle of a chamfer mill or of a drill
+    words = words[:LONGEST].replace("_", " ")
+    words = re.sub(r"\bTAPER=", "", words, flags=re.I)  # the angle of a chamfer mill or of a drill
     if CONICAL_FACE.match(words):
         return "tapered mill"
     if FLAT_KINDS.search(words):
@@ -180,6 +182,7 @@ def described_tool(comment: str, unit: float, changed: str | None = None, beside
     beside: the comment is in the line of the change. In a comment without a tool number, which may name an operation
     (drill, chamfer), only the name of a tool counts (twist drill, chamfer mill).
     """
+    comment = comment[:LONGEST]
     if re.match(r"\s*(?:stock|material|block|wcs|part)\b", comment, re.I):
         return None
     comment = ASIDE.sub(lambda match: match["size"] or " ", re.sub(r"(?<=\d),(?=\d)", ".", comment))

@@ -46,7 +46,7 @@ class ToolModes(Record):
 class Tool(Record):
     """A cylindrical end mill: straight edges, or edges that a helix makes lag the more the higher above the tip."""
 
-    diameter: float = parameter(unit="mm", low=1e-3, high=200.0, text="cutter diameter")
+    diameter: float = parameter(unit="mm", low=0.05, high=200.0, text="cutter diameter")
     teeth: int = parameter(low=1, high=100, text="number of teeth")
     spindle_speed: float = parameter(
         0.0, unit="rpm", low=0.0, high=200_000.0, text="spindle speed; 0: that of the program in path.file"
@@ -150,10 +150,9 @@ class Tool(Record):
             raise ParameterError("stiffness_n_per_um", 1e-6 * self.stiffness, "0, or 0.001 to 10000")
         if 0.0 < self.shank_diameter < 1e-6:
             raise ParameterError("shank_diameter_mm", 1e3 * self.shank_diameter, "0, or 0.001 to 200")
-        for name, unit in (("pitch", "deg"), ("runout", "um")):
-            if getattr(self, name).size not in (0, self.teeth):
-                shown = f"empty or one number for each of the {self.teeth} teeth"
-                raise ParameterError(f"{name}_{unit}", getattr(self, name).tolist(), shown)
+        for key, values in (("pitch_deg", np.degrees(self.pitch)), ("runout_um", 1e6 * self.runout)):
+            if values.size not in (0, self.teeth):
+                raise ParameterError(key, values.tolist(), f"empty or one number for each of the {self.teeth} teeth")
         if abs(self.pitches.sum() - 2 * np.pi) > 1e-6:
             raise ParameterError("pitch_deg", np.degrees(self.pitch).tolist(), "angles that sum up to 360")
         if self.radii.min() <= 0.0:

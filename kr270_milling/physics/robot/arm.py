@@ -114,9 +114,9 @@ class Arm(Record):
     d6: float = parameter(unit="m", text="wrist centre to flange", low=0.0, high=10.0)
     joint_lower: np.ndarray = parameter(unit="deg", text="lower joint limits", low=-720.0, high=720.0, size=6)
     joint_upper: np.ndarray = parameter(unit="deg", text="upper joint limits", low=-720.0, high=720.0, size=6)
-    joint_speed_limit: np.ndarray = parameter(unit="deg_per_s", text="joint speed limits", above=0.0, size=6)
+    joint_speed_limit: np.ndarray = parameter(unit="deg_per_s", text="joint speed limits", low=0.01, size=6)
     joint_acceleration_limit: np.ndarray = parameter(
-        unit="deg_per_s2", text="joint acceleration limits", above=0.0, size=6
+        unit="deg_per_s2", text="joint acceleration limits", low=0.01, size=6
     )
     joint_compliance: np.ndarray = parameter(
         unit="urad_per_n_m", text="compliance of the virtual spring of each joint", above=0.0, size=6

@@ -32,19 +32,19 @@ EXPONENT = r"E[-+]?[0-9]+(?![0-9.])"
 NUMBER = rf"[-+]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:{EXPONENT}|(?!{EXPONENT}))"
 WORD = re.compile(rf"([A-Z])[ \t]*({NUMBER})")
 SIMPLE = re.compile(rf"(?:[ \t]*[A-Z][ \t]*{NUMBER})*[ \t]*")  # a line of words of one letter alone
-#: a straight cutting move, or an arc, and nothing else: most lines of a long program
+#: a straight cutting move, or an arc, and nothing else: most lines of a long program. Blanks belong to the word before
+#: them; where words share a row of blanks, the time grows by a power of its length
 PLAIN = r"[-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)"
 STRAIGHT, ARC = (
     re.compile(
-        rf"[ \t]*(N[ \t]*[0-9]+)?[ \t]*({word}(?![0-9.]))?[ \t]*"
-        + r"[ \t]*".join(rf"(?:{letter}[ \t]*({PLAIN}))?" for letter in letters)
-        + r"[ \t]*"
+        rf"[ \t]*(?:(N[ \t]*[0-9]+)[ \t]*)?(?:({word}(?![0-9.]))[ \t]*)?"
+        + "".join(rf"(?:{letter}[ \t]*({PLAIN})[ \t]*)?" for letter in letters)
     )
     for word, letters in (("G0?1", "XYZF"), ("G0?[23]", "XYZIJKRF"))
 )
 #: a comment in brackets, nested twice at most where they pair, or after a semicolon; the brackets of a call are none
 COMMENT = re.compile(
-    r"(?P<call>[A-Z_]{2,}[0-9_]*[ \t]*\([^()]*\))"
+    r"(?P<call>(?<![A-Z_])[A-Z_]{2,}(?:[0-9][0-9_]*)?[ \t]*\([^()]*\))"
     r"|\((?P<nested>(?:[^()]|\((?:[^()]|\([^()]*\))*\))*)\)|\((?P<plain>[^)]*)\)|;(?P<last>.*)|(?P<open>\(.*)",
     re.I,
 )
@@ -52,10 +52,10 @@ COMMENT = re.compile(
 PIECE = re.compile(
     rf"""(?P<blank>[ \t]+)
     |(?P<macro>[\#\[\]<]\S*|O[ \t]*<\S*|R[0-9]*[ \t]*=\S*)
-    |(?P<call>[A-Z_]{{2,}}[0-9_]*[ \t]*\([^()]*\))
+    |(?P<call>[A-Z_]{{2,}}(?:[0-9][0-9_]*)?[ \t]*\([^()]*\))
     |(?P<assigned>[A-Z][A-Z0-9_]{{0,15}}[ \t]*=[ \t]*(?:(?:AC|IC|DC)[ \t]*\([ \t]*{NUMBER}[ \t]*\)|{NUMBER}|"[^"]*"))
     |(?P<word>(?:,[ \t]*(?=[RC]))?[A-Z@^][ \t]*{NUMBER})
-    |(?P<name>[A-Z_]{{2,}}[A-Z0-9_]*(?![A-Z0-9_]*[ \t]*=))
+    |(?P<name>[A-Z_]{{2}}[A-Z0-9_]*(?![A-Z0-9_]*[ \t]*=))
     |(?P<expression>[A-Z][-+.]*(?:[ \t]*[\#\[\]<]|=)\S*)
     |(?P<bare>[A-Z][-+.]*(?![A-Z0-9]))
     |(?P<rest>\S+|.)""",
