@@ -261,6 +261,9 @@ def coarser(cell: Cell) -> Cell:
         return cell
     spacing = 20e-3  # [m] of postures: at 5 mm the errors of robots differ by 1 to 2 %
     cell = cell.replace(dynamics=cell.dynamics.replace(posture_spacing=max(spacing, cell.dynamics.posture_spacing)))
+    if cell.stage:
+        earlier = tuple(removal.quick for removal in cell.stage.earlier)
+        cell = cell.replace(stage=dataclasses.replace(cell.stage, earlier=earlier))
     if cell.cutting.by_engagement:
         return cell
     exchange, steps = cell.exchange, path_of(cell).clock.micro_steps
