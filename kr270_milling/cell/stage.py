@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 import math
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -26,6 +26,12 @@ class Removal:
     actual: np.ndarray  #: tool tip in the simulated pass [m], (m, 3); the programmed path where no pass was simulated
     spring_back: float = 0.0  #: [m], largest deflection while the tool cuts
     cutter: Tool | None = None  #: its profile; None: a flat end
+    few: np.ndarray | None = None  #: places of ``actual`` for quick passes, as far apart as programmed ones; None: all
+
+    @property
+    def quick(self) -> Removal:
+        """The removal for the many passes of simulated robots, each of which begins with a stock of its own."""
+        return self if self.few is None else replace(self, actual=self.few)
 
 
 @dataclass(frozen=True)
@@ -48,6 +54,13 @@ class Stage:
         return f"tool {self.tool}, {self.number} of {self.count}"
 
 
+def places_apart(radius: float) -> float:
+    """Distance of two places of a path along which a tool removes material [m]; radius: of the tool [m]."""
+    places_per_radius = 50  # between two places R / 20000 stays at the side
+    farthest = 1e-4  # [m]: on an arc of 1 mm the chord misses 1.3 um
+    return min(radius / places_per_radius, farthest)
+
+
 def removal_along(name: str, tool: Tool, path: Toolpath) -> Removal:
     """Return what a tool removes on its programmed path."""
     tilt = float(path.tilt.max())
@@ -55,10 +68,8 @@ def removal_along(name: str, tool: Tool, path: Toolpath) -> Removal:
         reason = f"tool {name} is tilted by {math.degrees(tilt):.4g} deg, but several tools must be upright"
         raise MillingError(f"{reason}: split the program at the change of the tool")
     radius, length = float(tool.radii.max()), path.length
-    places_per_radius = 50  # of a programmed path: between two places R / 20000 stays at the side
-    farthest = 1e-4  # [m], between two places: on an arc of 1 mm the chord misses 1.3 um
     most_places = 1_000_000
-    count = 2 + min(most_places, int(length / min(radius / places_per_radius, farthest)))
+    count = 2 + min(most_places, int(length / places_apart(radius)))
     distance = np.union1d(np.linspace(0.0, length, count), np.cumsum(path.block_length))
     position = path.position_at(distance)
     if tool.type == "program" and path.program.current and path.program.current.kind == "drill":

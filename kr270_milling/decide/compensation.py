@@ -18,7 +18,7 @@ from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import PLANNED, ScoredPass, compensated, compensator, long_pass, simulate
 from kr270_milling.cell.models import path_of, removal_of
 from kr270_milling.cell.plant import DIVERGED, Plant
-from kr270_milling.cell.stage import Removal
+from kr270_milling.cell.stage import Removal, places_apart
 from kr270_milling.decide.check import Checked, check
 from kr270_milling.decide.check_arm import backlash_statement
 from kr270_milling.decide.check_cut import spring_back
@@ -26,6 +26,7 @@ from kr270_milling.decide.decision import CAUTION, ENOUGH, NO, YES, Decision, Li
 from kr270_milling.decide.findings import Finding, violation
 from kr270_milling.decide.levers import QUICK, scheduled
 from kr270_milling.decide.part.assessment import Gauge, PartAssessment, assess_all, gauge_of, judge, um_text
+from kr270_milling.decide.part.surface import stations_of
 from kr270_milling.decide.programs.written import written_pass, written_trajectory
 from kr270_milling.decide.verdict import (
     CHOOSING_SEED,
@@ -254,11 +255,18 @@ def _removal(cell: Cell, ran: ScoredPass | None) -> Removal:
     programmed = removal_of(cell)
     if ran is None:
         return programmed
-    actual = ran.result.actual
+    path, result = stations_of(path_of(cell), ran.result.time_ns), ran.result
     same_place = 1e-9  # [m]
-    moved = np.linalg.norm(np.diff(actual, axis=0), axis=1) > same_place
-    actual = np.ascontiguousarray(actual[np.concatenate([[True], moved])])
-    return dataclasses.replace(programmed, actual=actual, spring_back=spring_back(cell, ran))
+    moved = np.linalg.norm(np.diff(result.actual, axis=0), axis=1) > same_place
+    actual = np.ascontiguousarray(result.actual[np.concatenate([[True], moved])])
+    # a pass by teeth has ten times as many places: the first of each stretch and that of the largest deflection
+    stretch, line = np.floor(path.distance / places_apart(programmed.radius)), path_of(cell).line_at(result.time_ns)
+    stretch = np.cumsum((np.diff(stretch, prepend=-1) != 0) | (np.diff(line, prepend=-1) != 0))
+    starts = np.flatnonzero(np.diff(stretch, prepend=0))
+    largest = np.lexsort((-np.linalg.norm(result.deflection[:, :3], axis=1), stretch))[starts]
+    rows = np.unique(np.concatenate([starts, largest, np.flatnonzero(np.diff(line, append=-1))]))
+    few = np.ascontiguousarray(result.actual[rows])
+    return dataclasses.replace(programmed, actual=actual, few=few, spring_back=spring_back(cell, ran))
 
 
 @dataclass(frozen=True)

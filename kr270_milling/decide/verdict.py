@@ -179,18 +179,19 @@ def alternatives(cell: Cell, original: ScoredPass, method: str) -> dict[str, Tra
 
 def _references(cell: Cell, original: ScoredPass, without: str = "") -> dict[str, Trajectory]:
     """References of the recommended methods. A method that repeats takes passes of the plant itself: it is left out."""
-    references = {}
+    references, by = {}, compensator(cell, path_of(cell).target)
+    by.first = record_of(cell, original)
     for name, method in methods().items():
         if name != without and not method.repeats and getattr(method, "recommended", True):
             with contextlib.suppress(MillingError):
-                references[name] = compensator(cell, path_of(cell).target, name).revise(record_of(cell, original))
+                references[name] = by.choose(name)
     return references
 
 
 def _expected(cell: Cell, references: dict[str, Trajectory]) -> dict[str, float]:
     """Path deviation [m] that 95 % of ``FEWEST`` plants stay below, by the linear response of each plant."""
-    rng = np.random.default_rng(0)
-    plants = [perturbed(coarser(cell), rng) for _ in range(FEWEST)]
+    quick, rng = coarser(cell), np.random.default_rng(0)
+    plants = [perturbed(quick, rng) for _ in range(FEWEST)]
     with ThreadPoolExecutor(cores()) as pool:
         rows = np.array(list(pool.map(lambda plant: expected_deviations(plant, list(references.values())), plants)))
     return dict(zip(references, np.quantile(rows, 0.95, axis=0).tolist(), strict=True))
@@ -257,7 +258,8 @@ def monte_carlo(
             progress(work(done), work(samples))
 
     def drawn(nominal: Cell) -> list[tuple[np.ndarray, float | None]]:
-        gauge = full_gauge if nominal.stock is cell.stock else gauge_of(nominal)  # on another map another one
+        same = nominal.stock is cell.stock and nominal.exchange is cell.exchange  # maps and stamps
+        gauge = full_gauge if same else gauge_of(nominal)
 
         def run(k: int, plant: Cell) -> tuple[np.ndarray, float | None]:
             chosen = list(references.values()) if k < comparing else [revised]

@@ -24,9 +24,9 @@ from scipy.spatial import cKDTree
 from kr270_milling.base.files import write_files
 from kr270_milling.base.frames import tool_axis
 from kr270_milling.cell.cell import Cell
-from kr270_milling.cell.models import cut_of, flat_floors, path_of
+from kr270_milling.cell.models import cut_of, flat_floors, path_of, removal_of
 from kr270_milling.cell.paths import CellPath
-from kr270_milling.cell.stage import Removal, cleared, swept
+from kr270_milling.cell.stage import cleared, swept
 from kr270_milling.path.trajectory import Trajectory
 from kr270_milling.physics.cutting import CutModel, Stock, Tool
 from kr270_milling.physics.cutting.grid import TILE
@@ -367,8 +367,7 @@ def ideal_part(cell: Cell, path: Stations, target: np.ndarray) -> IdealPart:
     passages = passages[below & flat_floors(cell)]  # the sides of another end are part of the surface
     staying, wall_height = _staying(cut, passages)
     if cell.stage:
-        radius = float(cell.tool.radii.max())
-        mine = swept((Removal(cell.stage.tool, radius, target, target, cutter=cell.tool),), cell.stock, False)
+        mine = swept((removal_of(cell),), cell.stock, False)
         owner = np.where(mine.map_heights()[2] <= height + 2.0 * level, owner, -1)
         if cell.stage.later:
             after = cleared(cell.stage.later, cell.stock, False)

@@ -77,18 +77,19 @@ class Compensator:
 
     def choose(self, method: str | Method) -> Trajectory:
         """Change the method and return its reference, revised from the pass along the target if there was one."""
+        shared = self.learner is not None and self.learner.only is self.first
         self.chosen = method_of(method)
-        self.reset()
+        self.reset(self.learner if shared else None)
         return self.revise(self.first) if self.first is not None else self.reference
 
-    def reset(self) -> None:
+    def reset(self, learner: Learner | None = None) -> None:
         """Return to the target itself."""
         self.reference = self.target
         self.errors: tuple[float, ...] = ()  #: [m], remaining error of each pass
         self.limited: tuple[Limited, ...] = ()  #: where the correction of ``reference`` was limited
         self.finished = False
         self.note = ""  #: why no correction is made, or why the best pass is the one without compensation
-        self.learner: Learner | None = None  #: the experience of a method that learns, from the first pass on
+        self.learner = learner  #: the experience of a method that learns, from the first pass on
         self._best: tuple[float, Trajectory, tuple[Limited, ...]] = (math.inf, self.target, ())
         self._in_vain = 0  # passes in a row without improvement
 

@@ -243,6 +243,7 @@ class Learner:
         self.path = cubic_coefficients(target.time_ns, target.position, target.velocity)
         self.identified: dict | None = None
         self.passes: tuple[Evidence, ...] = ()
+        self.only: PassRecord | None = None  #: the pass, of a learner that knows one
         #: deviation on the path without a correction [m], (m, parts, 3)
         self.expected = np.zeros((len(self.segments), self.segments.parts, 3))
         self._noise = 0.0  # [m], of the deviation of a part
@@ -268,9 +269,11 @@ class Learner:
         return cubic_coefficients(reference.time_ns, reference.position, reference.velocity) - self.path
 
     def with_pass(self, record: PassRecord, reference: Trajectory) -> Learner:
-        """Return a learner that has also learned from a pass along ``reference``."""
+        """Return a learner that has also learned from a pass along ``reference``, unless that is its only pass."""
         learner = copy.copy(self)
-        learner.learn(record, reference)
+        learner.ensemble = []
+        if record is not self.only:
+            learner.learn(record, reference)
         return learner
 
     def learn(self, record: PassRecord, reference: Trajectory) -> None:
@@ -287,12 +290,13 @@ class Learner:
         )
         if last.wrench is not None and last.on_path is None:
             last = dataclasses.replace(last, on_path=self._on_path(last.wrench, reference))
+        self.only = None if self.passes else record
         self.passes = (*self.passes, last)
         self.expected = self._expected()
 
     def forget(self) -> None:
         """Drop the passes, of which an hour of machining fills 170 MB each; arm and expectation stay."""
-        self.passes, self._ideal, self.ensemble = (), None, []
+        self.passes, self.only, self._ideal, self.ensemble = (), None, None, []
 
     def expect(self) -> Learner:
         """Without any pass: expect the modelled arm under the wrench of the modelled cut on the path itself."""

@@ -48,7 +48,7 @@ class Exchange(Record):
         Other ends are pushed out by their whole area: over 4 ms the predicted tip of a leaning ball is off by 4 um.
         """
         usual = 4e-3 if level else 1.25e-3  # [s], convergence in guide/contributing/models.md
-        return self._rounded(usual if math.isnan(self.engagement_period) else self.engagement_period, spindle_speed)
+        return self.rounded(usual if math.isnan(self.engagement_period) else self.engagement_period, spindle_speed)
 
     def for_teeth(self, spindle_speed: float, end_share: float) -> Exchange:
         """Return the exchange of the sweep of the teeth at a spindle speed [rad/s]; a period that is given stays.
@@ -56,9 +56,9 @@ class Exchange(Record):
         end_share: of the end edge that presses on the floor: an arm that bounces there needs a shorter period.
         """
         usual = 0.25e-3 if end_share <= 0.5 else 0.125e-3  # [s], convergence in guide/numbers.md
-        return self._rounded(usual, spindle_speed) if math.isnan(self.period) else self
+        return self.rounded(usual, spindle_speed) if math.isnan(self.period) else self
 
-    def _rounded(self, period: float, spindle_speed: float) -> Exchange:
+    def rounded(self, period: float, spindle_speed: float) -> Exchange:
         """Return the exchange with a period [s] in whole micro-steps at a spindle speed [rad/s]."""
         unit = self.micro_step / spindle_speed
         return self.replace(period=unit * max(1, round(period / unit)))
