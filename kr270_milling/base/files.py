@@ -35,18 +35,18 @@ def staged(directory) -> Iterator[tuple[Path, Callable[[str | Path], Path]]]:
     is unchanged. Files of the same names are replaced. A symbolic link inside ``directory`` is refused, so that no file
     is written elsewhere. Raises InputError if the directory cannot be created, or if another run writes into it.
     """
-    final = Path(directory)
-    try:
-        if final.exists() and not final.is_dir():
-            raise InputError(final, "is a file, but must be a directory to write into")
-        new = not final.exists()
-        # inside the directory, which may be a mount point: files cannot move between file systems
-        draft = final / f".{final.name}.{uuid.uuid4().hex}.part"
-        draft.mkdir(parents=True)
-        handle = os.open(final, os.O_RDONLY)
-    except OSError as error:
-        raise InputError(final, f"cannot be written into ({write_failure(error, final)})") from None
-    try:
+    final, new, handle = Path(directory), False, -1
+    # inside the directory, which may be a mount point: files cannot move between file systems
+    draft = final / f".{final.name}.{uuid.uuid4().hex}.part"
+    try:  # from the first folder on: Ctrl-C may come at any place
+        try:
+            if final.exists() and not final.is_dir():
+                raise InputError(final, "is a file, but must be a directory to write into")
+            new = not final.exists()
+            draft.mkdir(parents=True)
+            handle = os.open(final, os.O_RDONLY)
+        except OSError as error:
+            raise InputError(final, f"cannot be written into ({write_failure(error, final)})") from None
         _lock(handle, final, draft)
         yield draft, lambda path: final / Path(path).relative_to(draft)
         _move(draft, final)
@@ -59,7 +59,8 @@ def staged(directory) -> Iterator[tuple[Path, Callable[[str | Path], Path]]]:
         if new:
             with contextlib.suppress(OSError):  # not empty: files were written
                 final.rmdir()
-        os.close(handle)
+        if handle >= 0:
+            os.close(handle)
 
 
 def _lock(handle: int, directory: Path, draft: Path) -> None:

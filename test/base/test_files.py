@@ -33,6 +33,19 @@ def test_files_appear_when_the_block_has_ended_and_replace_older_ones(tmp_path):
     assert (out / "a.txt").read_text() == "new" and (tmp_path / "precious").read_text() == "precious"
 
 
+def test_ctrl_c_while_the_folder_is_made_leaves_nothing(tmp_path, monkeypatch):
+    opened = os.open
+
+    def interrupted(*_):
+        monkeypatch.setattr(os, "open", opened)  # by which the draft is removed
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(os, "open", interrupted)
+    with pytest.raises(KeyboardInterrupt), staged(tmp_path / "out"):
+        pass
+    assert names(tmp_path) == []
+
+
 @pytest.mark.parametrize("error", [ValueError, KeyboardInterrupt])
 @pytest.mark.parametrize("before", [[], ["old.txt"]])
 def test_after_an_error_everything_is_as_it_was(tmp_path, error, before):
