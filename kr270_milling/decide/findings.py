@@ -185,6 +185,9 @@ KINDS = {
     "no tool": Kind("1", "the program cuts with {label}, which is an empty spindle",
         "Write the number of the tool, from 1 on, where the program changes to it."),
     "block skip": Kind("1", "", "Leave the switch off: the program without these lines is not checked.", "warning"),
+    "cycle heights": Kind("1", "",
+        "LinuxCNC counts it in another way: write R and Z in the line that changes the mode, or end the cycle before.",
+        "warning"),
     "feed unit": Kind("1", "", "Other controls count it in the new unit: write F in the lines after G20 or G21.",
         "warning"),
     "length number": Kind("1", "", "A control adds the length of another tool: write the H of the tool, or check that "

@@ -225,6 +225,23 @@ def test_the_override_slows_and_the_folder_has_the_routine_that_is_called(tmp_pa
     assert path.feed[-1] == pytest.approx(0.05) and path.position[-1, 0] == pytest.approx(5e-3)
 
 
+def test_files_and_routines_keep_their_variables_and_parts_are_in_folders_of_their_own(tmp_path):
+    """XP1 of a routine in another file, and I of a routine, are others than those of the program that calls it."""
+    place = "DEFDAT {}\nDECL FRAME XP1={{X {},Y 0,Z 0}}\nDECL E6POS {}={{X 1,Y 0,Z 0}}\nENDDAT\n"
+    (tmp_path / "part.dat").write_text(place.format("PART", 10, "XOWN"))
+    (tmp_path / "P2").mkdir()
+    (tmp_path / "P2" / "other.dat").write_text(place.format("OTHER", 30, "XOTHER"))
+    (tmp_path / "P2" / "other.src").write_text("DEF OTHER( )\nLIN XP1\nROUND( )\nEND\nDEF ROUND( )\nLIN {X 31}\nEND\n")
+    begin = ("DECL INT I", "$VEL.CP=0.1", f"LIN {{X 0,Y 0,Z 0,{DOWN}}}")
+    file = written(tmp_path, *begin, "FOR I=1 TO 2", "LIN XP1", "OTHER( )", "ROUND( )", "ENDFOR", "LIN XP1")
+    file.write_text(file.read_text() + "DEF ROUND( )\nDECL INT I\nFOR I=1 TO 3\nLIN {X 20}\nLIN {X 21}\nENDFOR\nEND\n")
+    ends = 1e3 * read_toolpath(file).position[1:, 0]
+    assert ends == pytest.approx([*2 * [10, 30, 31, *3 * [20, 21]], 10])
+    file.write_text(file.read_text().replace("OTHER( )", "LIN XOTHER\nOTHER( )"))
+    with pytest.raises(InputError, match="XOTHER"):  # of a file that was not loaded, or of another file
+        read_toolpath(file)
+
+
 VALUES = {"1+2*3": 7, "(1+2)*3": 9, "7/2": 3, "7/2.0": 3.5, "-3+1": -2, "NOT TRUE OR TRUE": True, "1<2 AND TRUE": None,
           "(1<2) AND (3==3)": True, "SQRT(16)+ABS(-2)": 6, "SIN(30)": 0.5, "'B101'": 5, "'H1F'": 31, "P.X-1": 4,
           "#A == #A": True, "{X 1,Y 2:3}": None, "1 2": None, "": None, "SQRT(-1)": None, "1/0": None,

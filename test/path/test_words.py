@@ -175,7 +175,16 @@ DOUBTS = {
     "G20 F10": ("F10 in mm, the unit before G20", 6),
     "G20": ("F800 in mm, the unit before G20", 6),
     "G43 H7": ("H7 is not the number of T1", 6),
+    "G0 Z9\nG99 G81 X5 Z-3 R2\nG91 X3\nG80 G90\nG1 Z-1": (
+        "R or Z of a cycle from before G90, G91, G20 or G21 keeps its height",
+        8,
+    ),
+    "G0 Z9\nG91 G99 G81 X5 Z-3 R-2\nR-1 X3\nG80 G90\nG1 Z-1": (
+        "R of a further hole with G91 counts from the height before the cycle",
+        8,
+    ),
     "G43\nX5\nG49\nG0 Z9\nG43\nG1": ("the length of T1 ends before a retract", 8),
+    "G0 Z9\nG91 G99 G81 X5 Z-3 R-2\nX3\nG90 X9 Z-1 R3\nG80\nG1 Z-1": None,
     **dict.fromkeys(("G43 H1", "G43", "G49", "G43 H1\nX5\nG49 G53 Z0\nG43\nG1", "G43\nG28 Z0\nG49"), None),
 }
 

@@ -93,16 +93,27 @@ class _Leave(Exception):
     """EXIT of a loop, or RETURN."""
 
 
+class _Values(dict[str, Any]):
+    """Variables by their upper-case names, P[3] with its index; None: declared, without a value."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.whole: set[str] = set()  #: names of INT variables
+
+
 class _KrlReader(Machine):
-    """Runs statements. ``values``: the variables by their upper-case names, P[3] with its index."""
+    """Runs statements."""
 
     def __init__(self, program: ProgramBuilder, feed: float, path: Path):
         super().__init__(program, feed)
         self.path = path
         self.stated_feed = self.feed  #: that of the cell
-        self.values: dict[str, Any] = {}
-        self.whole: set[str] = set()  #: names of INT variables
-        self.routines: dict[str, list[_Statement]] = {}
+        self.shared = _Values()  #: variables that no file of the program declares, and GLOBAL ones
+        self.data = _Values()  #: those of the .dat file of the routine that runs
+        self.locals: list[_Values] = []  #: those of the routine, then of routines of the same file that called it
+        self.routines: dict[str, list[_Statement]] = {}  #: of the file that runs
+        self.loaded: dict[Path, tuple[_Values, dict[str, list[_Statement]]]] = {}  #: data and routines of each file
+        self.public: dict[str, Path] = {}  #: routine -> file, of those that other files may call
         self.depth = self.statements = 0
         self.override = 1.0
         self.abc: tuple[float, ...] | None = None  #: A, B, C [deg] of the tool
@@ -117,13 +128,16 @@ class _KrlReader(Machine):
     def read(self) -> None:
         try:
             self._load(self.path)
-            if self.routines:
-                self._routine(next(iter(self.routines)))
+            if self.loaded[self.path][1]:
+                self._routine(self.path, next(iter(self.loaded[self.path][1])))
         except RecursionError:
             self.program.refuse("IF", "too many blocks are in each other")
 
     def _load(self, path: Path) -> None:
         """Take the routines of a .src file and the data of its .dat file."""
+        outside = self.locals, self.data
+        self.data, routines = self.loaded[path] = _Values(), {}
+        self.locals = [self.data]
         for data in (path.with_suffix(end) for end in (".dat", ".DAT")):
             if data != path and data.is_file():
                 self.program.files.append(data)
@@ -138,27 +152,35 @@ class _KrlReader(Machine):
             if match:
                 self.program.title = self.program.title or match[1]
                 body, last = _tree(path, lines, ("END",))
-                self.routines.setdefault(match[1].upper(), body)
+                if not routines or text[:1].upper() == "G":
+                    self.public.setdefault(match[1].upper(), path)
+                routines.setdefault(match[1].upper(), body)
                 if match[2].strip():
-                    self.routines[match[1].upper()] = [_Statement(path, number, f"DEF {match[2]}")]
+                    routines[match[1].upper()] = [_Statement(path, number, f"DEF {match[2]}")]
                 if last is None:
                     self.program.line = number
                     self.program.refuse("END", f"{match[1]} has no END; the file may be cut off")
             elif re.match(r"(?:GLOBAL\s+)?DEFFCT\b", text, re.I):
                 _tree(path, lines, ("ENDFCT",))
-        if not self.routines:
+        if not routines:
             self.program.refuse("DEF", "a KRL program begins with DEF NAME( )")
+        self.locals, self.data = outside
 
-    def _routine(self, name: str) -> None:
+    def _routine(self, path: Path, name: str) -> None:
+        """Run a routine of a file: its own variables hide those of the file, which hide shared ones."""
         if self.depth >= DEEPEST:
             raise KrlError(f"routines call each other more than {DEEPEST} deep")
         self.depth += 1
+        outside = self.locals, self.data, self.routines
+        self.data, self.routines = self.loaded[path]
+        self.locals = [_Values(), *(self.locals if outside[2] is self.routines else [])]
         try:
             self._run(self.routines[name])
         except _Leave:
             pass
         finally:
             self.depth -= 1
+            self.locals, self.data, self.routines = outside
 
     # --- statements ---
 
@@ -256,16 +278,17 @@ class _KrlReader(Machine):
             name, values = match[1].upper(), [self._value(text or "1") for text in match.groups()[1:]]
             if not all(isinstance(value, int) for value in values) or not values[2]:
                 raise KrlError("a FOR loop counts in whole numbers")
-            self.values[name] = values[0]
+            of_loop = self._holder(name)
+            of_loop[name] = values[0]
         try:
             while not self._spent(word, not body) and not self.program.hopeless:
-                if word == "FOR" and (self.values[name] - values[1]) * values[2] > 0:
+                if word == "FOR" and (of_loop[name] - values[1]) * values[2] > 0:
                     return
                 if word == "WHILE" and self._value(head[5:]) is not True:
                     return
                 self._run(body)
                 if word == "FOR":
-                    self.values[name] += values[2]
+                    of_loop[name] += values[2]
                 if word == "REPEAT" and self._value(until[5:]) is True:
                     return
         except _Leave as leave:
@@ -277,13 +300,18 @@ class _KrlReader(Machine):
     def _value(self, text: str) -> Any:
         return evaluated(text, self._variable)
 
+    def _holder(self, name: str) -> _Values:
+        """Return the variables among which a name is declared: of the routine, of the file, or shared."""
+        stem = name.partition("[")[0]
+        return next((values for values in (*self.locals, self.data) if stem in values), self.shared)
+
     def _variable(self, name: str) -> Any:
         if name == "$POS_ACT" and not any(map(math.isnan, self.position)):
             place = [value / MM for value in self.position]
             return dict(zip(FRAME, [*place, *(self.abc or (0.0, 0.0, 0.0))], strict=True)) | self.external
         if name == "$NULLFRAME":
             return dict.fromkeys(FRAME, 0.0)
-        value = self.values.get(name)
+        value = self._holder(name).get(name)
         if value is None:
             raise UnknownValueError(name)
         return value
@@ -295,11 +323,15 @@ class _KrlReader(Machine):
         if match := ASSIGNMENT.fullmatch(text):
             self._store(match[1].upper(), match[2])
             return
-        kind, _, names = re.sub(r"\A(?:(?:DECL|GLOBAL|CONST)\s+)+", "", text, flags=re.I).partition(" ")
+        words = re.match(r"(?:(?:DECL|GLOBAL|CONST)\s+)*", text, re.I)[0]  # type: ignore[index]  # it may be empty
+        holder = self.shared if "GLOBAL" in words.upper() else self.locals[0]
+        kind, _, names = text[len(words) :].partition(" ")
         for name, _, value in (part.partition("=") for part in parts(names)):
             name = re.sub(r"\s", "", name).upper()
+            stem = name.partition("[")[0]
+            holder.setdefault(stem)
             if kind.upper() == "INT":
-                self.whole.add(name.partition("[")[0])
+                holder.whole.add(stem)
             if value:
                 self._store(name, value)
 
@@ -313,12 +345,13 @@ class _KrlReader(Machine):
             value = self._value(text)
         except UnknownValueError:
             value = None
+        values = self._holder(stem)
         if component:
-            self.values[stem] = dict(self.values.get(stem) or {}) | {component: value}
+            values[stem] = dict(values.get(stem) or {}) | {component: value}
             return
-        if stem.partition("[")[0] in self.whole and isinstance(value, float):
+        if stem.partition("[")[0] in values.whole and isinstance(value, float):
             value = round(value)
-        self.values[stem] = value
+        values[stem] = value
 
     def _assign(self, name: str, text: str) -> None:
         if name == "$VEL.CP":
@@ -378,7 +411,7 @@ class _KrlReader(Machine):
         if word in ("#TOOL", "#BASE"):
             self._set_frame(f"${word[1:]}", f"{word[1:]}_DATA[{rest[0]}]")
         elif word in ("#FRAMES", "#CP_PARAMS", "#PTP_PARAMS"):
-            data = self.values.get("FDAT_ACT")
+            data = self._holder("FDAT_ACT").get("FDAT_ACT")
             self._interpolate(data.get("IPO_FRAME") if isinstance(data, dict) else None)
             for name, key in (("$TOOL", "TOOL_NO"), ("$BASE", "BASE_NO")):
                 if isinstance(data, dict) and key in data:
@@ -392,17 +425,19 @@ class _KrlReader(Machine):
             raise KrlError(f"BAS({short(word)}) is not known; {POST}")
 
     def _call(self, name: str, arguments: str) -> None:
-        """Run a routine of the file, or of a file of that name beside it."""
+        """Run a routine of the file, or of a file of that name beside it or in a folder P1 below it."""
         key = name.upper()
-        if key not in self.routines:
-            beside = [path for path in self.path.parent.iterdir() if path.stem.upper() == key]
-            file = next((path for path in sorted(beside) if path.suffix.lower() == ".src"), None)
+        here = next(path for path, (_, routines) in self.loaded.items() if routines is self.routines)
+        if key not in self.routines and key not in self.public:
+            paths = [path for folder in ("*", "P[0-9]*/*") for path in sorted(self.path.parent.glob(folder))]
+            sources = (path for path in paths if path.suffix.lower() == ".src" and path.stem.upper() == key)
+            file = next(sources, None)
             if file is None or arguments:
                 raise KrlError(f"the routine {short(name)} is not in the folder of the program; {POST}")
             self._load(file)
-        if arguments or key not in self.routines:
+        if arguments or not (key in self.routines or key in self.public):
             raise KrlError(f"{short(name)} is no routine without parameters; {POST}")
-        self._routine(key)
+        self._routine(here if key in self.routines else self.public[key], key)
 
     # --- motions ---
 

@@ -805,6 +805,12 @@ class Machine:
             self.program.refuse("G76", reason, "leave threads out; write Q for fine boring", lost=True)
             axes.clear()
             return
+        modes, before = (self.incremental, self.unit), cycle.modes
+        if modes != before and before and (level is None or floor is None):
+            self.program.doubt("cycle heights", "R or Z of a cycle from before G90, G91, G20 or G21 keeps its height")
+        elif self.incremental and before and level is not None and kind is None:
+            self.program.doubt("cycle heights", "R of a further hole with G91 counts from the height before the cycle")
+        cycle.modes = modes
         if level is not None:
             cycle.retract = level * self.unit + (cycle.initial if self.incremental else 0.0)
         if floor is not None:

@@ -393,6 +393,7 @@ class Cycle:
     retract: float  #: R
     bottom: float = math.nan  #: Z
     peck: float = 0.0  #: Q, 0: in one stroke
+    modes: tuple = ()  #: G91 or not, and unit [m], of the last block with the cycle
 
     def strokes(self) -> list[tuple[float, bool]]:
         """Heights [m] that the tool goes to from R on, each with whether it goes there rapidly; the last is R again.
