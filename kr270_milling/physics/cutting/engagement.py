@@ -231,6 +231,7 @@ def make_engagement_state(p: EngagementParams, stock: Stock) -> EngagementState:
         edge = EdgeBins(
             np.zeros(nodes // RUN + 1, np.uint16),
             lost,
+            lost.copy(),
             np.zeros(2 * bins),
             np.zeros(13 * RUN, np.float32),
             np.zeros(12 * RUN),

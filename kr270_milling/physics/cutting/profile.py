@@ -50,6 +50,7 @@ class EdgeBins(NamedTuple):
 
     highest: np.ndarray  # uint16, (nodes / RUN,): least level of the nodes of a run, or less
     lost: np.ndarray  # (bins, n + 1): levels removed in the present step, by angle and piece
+    ahead: np.ndarray  # (bins, n + 1): these levels times |cos(phi)| of their places; 0: of an upright cutter
     raised: np.ndarray  # (bins,): those of the cylinder times their height above the tip [levels]
     work: np.ndarray  # float32, (11 RUN,): scratch of the nodes of a run
     place: np.ndarray  # (12 RUN,), the same: from the tip [m]

@@ -17,6 +17,13 @@ torque is <r (d.n)> / <d.n>; with F_t = K h the torque times the speed is theref
 A cell that the rim covers in part has the height of the middle of its covered part. Above the height that the rim had
 there before the step, only the rest of the cell is left. The rim of a sinking tool leaves a node with its middle.
 
+A tilted tool also sums dV cos(phi) of each bin. The edge within a bin changes as a line of d.n, whose slope follows
+from the mean d.n of the volume; with v the variance of d.n over a bin, the mean of the edge is that of a chip
+
+    <d.n> of the edge = (<d.n>^2 - v) / (2 <d.n> - <d.n> of the volume)
+
+and the force is that of two chips, <d.n> -+ sqrt(v), each with its share of the edge: the volume is conserved.
+
 Where no piece of an angle moves into the material, its volume has the chip of the whole move and so little edge. A bin
 that loses more than MOST of its volume lies beside the line d.n = 0, where nodes fall into a wrong bin, or below
 a flat end that sank by a level of the map at once. Its chip is then thicker, and the volume stays.
@@ -55,6 +62,7 @@ LOST = 3 * RUN  # levels that the cell loses
 REST = 4 * RUN  # level before of what the tool had not covered
 ALONG, BESIDE, AT, SINE, FAR, END, COVER, START = (RUN * k for k in range(5, 13))  # further rows of ``EdgeBins.work``
 ONE = np.uint64(1)
+UNEVEN = 0.05  # share of d.n by which it spreads over a bin, above which its force is that of two places
 MOST = 2.0  # share of a bin; the nodes of the map scatter it about 1
 
 
@@ -112,7 +120,7 @@ def empty_bins(s):
     """Empty the bins."""
     for k in range(s.edge.lost.shape[0]):
         for b in range(s.edge.lost.shape[1]):
-            s.edge.lost[k, b] = 0.0
+            s.edge.lost[k, b] = s.edge.ahead[k, b] = 0.0
     for k in range(s.edge.raised.size):
         s.edge.raised[k] = 0.0
 
@@ -338,10 +346,12 @@ def edge_load(s, p, motion, frame, passes, wrench):
         mean_c = ahead * p.cosines[q] / width
         mean_d = d * p.cosines[q] / (width * p.directions[q, 0])
         forward, turning, left = m * mean_c + side * mean_d, turn_2 * mean_c - turn_1 * mean_d, 0.0
+        spread_c = 0.5 + 0.5 * (c * c - d * d) * math.sin(width) / width - mean_c * mean_c  # variance of cos(phi)
+        left_c = 0.0
         own, changes = 0, (forward > 0.0) != (dz <= 0.0)
         for n in range(last + 1):
             b = n if k < bins else last - n
-            volume = s.edge.lost[k, b] + left
+            volume, volume_c = s.edge.lost[k, b] + left, s.edge.ahead[k, b] + left_c
             if volume <= 0.0:
                 continue
             if volume > left:
@@ -363,32 +373,46 @@ def edge_load(s, p, motion, frame, passes, wrench):
                     area = normal * lever
             lost = not area > 0.0 or not room > 0.0  # the next piece, with more d.n, has lost this volume
             if lost and n < last:
-                left = volume
+                left, left_c = volume, volume_c
                 continue
             if lost:  # no piece moves into the material at this angle: nodes beside the line d.n = 0
                 b = own
                 sine, cosine, lever, room = shape.sine[b], shape.cosine[b], shape.lever[b], width * shape.length[b]
                 normal = max(size, amount / (room * lever))
                 area = normal * lever
-            left = 0.0
+            left = left_c = 0.0
+            points, skew, spread = 1, 0.0, 0.0
+            if not lost and not crossed and volume_c > 0.0 and m * sine > 0.0:
+                spread = min(m * sine * math.sqrt(spread_c), 0.9 * normal)
+                own_c = m * sine * (ahead * volume_c / volume - mean_c)
+                skew = (normal * normal - spread * spread) / max(normal - own_c, 0.1 * normal) - normal
+                skew = min(max(skew / spread, -1.0), 1.0)
+                points = 2 if spread > UNEVEN * normal else 1
             if crossed and amount > MOST * area * room:
                 area = amount / (MOST * room)
                 normal = area / lever
-            share = teeth * amount / (area * normal)
-            edge, h = share * normal, normal * each
-            if cosine > 1.0 - LEVEL:
-                f_t, f_r = layer_force(p, h)
-                f_a = 0.0
-                contact += edge
-                thrust += f_r * edge
-            else:
-                f_t, f_r, f_a = call_law(p.law, h, p.coefficients)
-            out, up = -f_r * sine - f_a * cosine, f_r * cosine - f_a * sine
-            x, y, z = edge * (out * c + p.sense * f_t * d), edge * (out * d - p.sense * f_t * c), edge * up
-            local_x, local_y, force_z = local_x + x, local_y + y, force_z + z
-            moment_x += lever * d * z - middle * y
-            moment_y += middle * x - lever * c * z
-            torque += f_t * share * area
+            arm = area / normal
+            whole = teeth * amount / (arm * (normal + skew * spread))
+            for point in range(points):
+                place, weight = (2.0 * point - 1.0, 0.5 + (point - 0.5) * skew) if points == 2 else (skew, 1.0)
+                edge, h = whole * weight, (normal + place * spread) * each
+                c, d = ahead * p.directions[q, 0], p.directions[q, 1]
+                if points == 2:
+                    c = mean_c + ahead * place * math.sqrt(spread_c)
+                    d = math.copysign(math.sqrt(1.0 - c * c), d)
+                if cosine > 1.0 - LEVEL:
+                    f_t, f_r = layer_force(p, h)
+                    f_a = 0.0
+                    contact += edge
+                    thrust += f_r * edge
+                else:
+                    f_t, f_r, f_a = call_law(p.law, h, p.coefficients)
+                out, up = -f_r * sine - f_a * cosine, f_r * cosine - f_a * sine
+                x, y, z = edge * (out * c + p.sense * f_t * d), edge * (out * d - p.sense * f_t * c), edge * up
+                local_x, local_y, force_z = local_x + x, local_y + y, force_z + z
+                moment_x += lever * d * z - middle * y
+                moment_y += middle * x - lever * c * z
+                torque += f_t * edge * arm
             total, raised = total + volume, raised + volume * middle
     if s.ints[FLOOR_LEVEL] > s.ints[FLOOR_NEAR]:
         s.load[CONTACT] = max(contact, 0.9 * s.load[CONTACT])

@@ -10,13 +10,15 @@ root of a quadratic; the torus of a corner takes some Newton steps, which approa
 
 In a step a node is lowered to the lowest point that the tool has there on its way. The height falls with the rate
 (d.n) / n_z, d the move of that point of the tool and n its normal. As the height is convex, its least value lies where
-the rate changes its sign. The volume that a column loses is divided into slices, the thinnest at its lower end. Each is
-sorted by its angle phi and its piece of the edge, seen from the middle of the way that cuts the column. Beside a level
-end d.n falls to zero within a step: there a slice is seen from the place where the tool meets it.
+the rate changes its sign. Where the surface leaves the top of the stock within a cell, the node is lowered to the mean
+over the cell.
 
-Where the surface leaves the top of the stock within a cell, the node is lowered to the mean over the cell. A column
-beside the cylinder is seen from a place of its cell. Without both, forces of a strip of 5 % of the width, of some four
-rows of nodes, were up to 7 % wrong.
+The volume that a column loses is divided into slices, the thinnest at its lower end. Each is sorted by its angle phi
+and its piece of the edge. A tool that moves across its axis meets a slice where e2 = r sin(phi), r the radius at its
+height; so does a steep flank. Beside a level end d.n falls to zero within a step, and some Newton steps find the place.
+Arcs are seen from the middle of the way. A column stands at a scattered place of its cell and a slice at a scattered
+height, in proportion to the volume there: rows of nodes in the middle of their cells left bins beside d.n = 0 empty,
+and forces of a strip of 5 % of the width, of some four rows of nodes, were up to 7 % wrong.
 
 A column of the map also loses the material above a leaning flank. Where the tool meets this material on its way ahead,
 its force counts now. Where the tool has passed it, it has no force, and is counted as ``UNDERCUT``.
@@ -40,11 +42,14 @@ BOUND = 5 * RUN  # level below which no node of a whole run is lowered
 FALL = 7 * RUN  # half of the difference of the levels of the tool over a cell
 NEAR = 6 * RUN  # 2: the tool covers cells of a whole run in part; 1: it did so at the start of the step
 MISSED = math.inf  # height of a tool that does not cover a node
-ROUND = 4  # the same without a level end
+SLICES, ROUND = 8, 2  # of a column as high as the radius, of a tool with a level end and of another one
+STEEP = 0.3  # cos(kappa) of a flank, whose radius depends little on the height
 U, V, X, Y, Z, NU, NV, NZ, LAST, RISE, COVER, SLOPE = (RUN * k for k in range(12))  # rows of ``EdgeBins.place``
-# the place of a node beside the cylinder is scattered over its cell, so that a row of nodes along the feed fills all
-# bins that its cells meet: SCATTER_X i + SCATTER_Y j, as a share of 2^32
+# a column stands at a place in its cell, and a slice at a height in the column, so that a row of nodes along the feed
+# fills all bins that its cells meet: SCATTER_X i + SCATTER_Y j and SCATTER_U i + SCATTER_V j, as shares of 2^32
 SCATTER_X, SCATTER_Y = np.uint32(0.5698402910 * 2.0**32), np.uint32(0.7548776662 * 2.0**32)
+SCATTER_U, SCATTER_V = np.uint32(0.8191725134 * 2.0**32), np.uint32(0.6710436067 * 2.0**32)
+MIDDLE = COVER  # level of the tool in the middle of a cell
 STEEPEST = 3.0  # slope of a surface beside the rim of the tool
 STAYS = -1e9  # level of a tool that does not cover a node
 FLAT = 1e-9  # [m] and sine of an angle below which a length and a tilt are none
@@ -595,38 +600,67 @@ def _lower_run(s, p, step, frame, tip_z, low, base, x, start):
                 )
     for n in range(RUN):  # the surface leaves the top within a cell: the mean of its depth over the cell
         goal, fall = work[GOAL + n], work[FALL + n]
-        leaves, part = abs(goal) < fall, np.float32(0.5) * (goal + fall) / fall
-        shift = 0.5 * p.spacing * (1.0 - 2.0 / 3.0 * part) if leaves else 0.0  # to the middle of what is cut
-        place[Z + n] = depth - goal * p.level_step - shift * abs(place[SLOPE + n])
-        shift = -math.copysign(shift, place[SLOPE + n])
-        place[X + n], place[Y + n] = place[X + n] + shift * side_x, place[Y + n] + shift * side_y
-        work[GOAL + n] = part * part * fall if leaves else goal
+        part = np.float32(0.5) * (goal + fall) / fall
+        place[MIDDLE + n] = goal
+        work[GOAL + n] = part * part * fall if abs(goal) < fall else goal
     lower_nodes(s, p, base, first)
     hashed = np.uint32(base >> 8) * SCATTER_X + np.uint32(first) * SCATTER_Y
+    jitter = np.uint32(base >> 8) * SCATTER_U + np.uint32(first) * SCATTER_V
     for n in range(RUN):
-        lost, rest, goal = np.float64(work[LOST + n]), np.float64(work[REST + n]), np.float64(work[GOAL + n])
+        lost, share = np.float64(work[LOST + n]), np.float64(work[SHARE + n])
         if lost > 0.0:
-            slack = 0.0 if work[PART + n] >= np.float32(1.0) else p.spacing
-            beside = np.float64(np.int32(hashed + np.uint32(n) * SCATTER_Y)) * 2.0**-32 * p.spacing
-            column = (place[X + n], place[Y + n], place[Z + n], (goal - rest) * p.level_step, slack, beside)
-            _sort_column(s, p, step, frame, np.float64(work[SHARE + n]), column, lost)
+            at, height = _place_in_cell(
+                place[MIDDLE + n],
+                np.float64(work[REST + n]),
+                np.float64(work[FALL + n]),
+                np.float64(np.uint32(hashed + np.uint32(n) * SCATTER_Y)) * 2.0**-32,
+            )
+            shift, part = -math.copysign(at, at * place[SLOPE + n]), np.float64(work[PART + n])
+            if part < 1.0:  # in the covered part; a node that the tool does not cover is at its rim
+                out = math.copysign(1.0, place[X + n] * frame[3] + place[Y + n] * frame[4] + place[Z + n] * frame[5])
+                shift = out * part * (out * shift - 0.5) + (0.0 if part < 0.5 else out * (part - 0.5))
+            shift *= p.spacing
+            x, y = place[X + n] + shift * side_x, place[Y + n] + shift * side_y
+            z, _ = _look(p, step, share, x, y)
+            if z == MISSED:
+                z = depth - (place[MIDDLE + n] + 2.0 * at * work[FALL + n]) * p.level_step
+            within = np.float64(np.uint32(jitter + np.uint32(n) * SCATTER_V)) * 2.0**-32
+            _sort_column(s, p, step, frame, share, (x, y, z, height * p.level_step, within), lost)
+
+
+@inlined
+def _place_in_cell(goal, rest, fall, chance):
+    """Return where a column stands in its cell, -0.5 at the high side to 0.5 at the deep side, and its height [levels].
+
+    The tool is goal - fall to goal + fall below the top. ``rest``: mean depth of the former surface of the same slope.
+    chance, 0 to 1: of the volume between both, the share on the high side of the column.
+    """
+    began = math.sqrt(min(rest / fall, 1.0))  # part of the cell below the former surface
+    before = rest if began >= 1.0 else (2.0 * began - 1.0) * fall
+    start, low, full = max(0.5 - 0.5 * goal / fall, 0.0), max(goal - fall, 0.0), goal + (1.0 - 2.0 * began) * fall
+    rising = 0.5 * (low + full) * max(1.0 - began - start, 0.0)  # volume where the top was whole
+    volume = chance * (rising + max(full, 0.0) * began)
+    if volume > rising:
+        at = 0.5 - began + (volume - rising) / full
+    else:
+        at = start - 0.5 + 2.0 * volume / (math.sqrt(low * low + 4.0 * fall * volume) + low + 1e-30)
+    return at, max(goal + 2.0 * at * fall - max(before + 2.0 * at * fall, 0.0), 0.0)
 
 
 @inlined
 def _sort_column(s, p, step, frame, share, column, lost):
     """Add the levels that a column loses to the bins.
 
-    column: place and lower end from the tip at the end of the step, height, and how far it may be beside the tool [m].
+    column: place and lower end from the tip at the end of the step, height [m], and where its slices are seen, 0 to 1.
     """
-    x, y, z, height, slack, beside = column
+    x, y, z, height, within = column
     shape, bins, last, levels = p.profile, p.widths.size, p.profile.length.size - 1, 1.0 / p.level_step
     back = 1.0 - share
     end_x, end_y, end_z = x + back * step[0], y + back * step[1], z + back * step[2]  # from the tip where it is lowest
     m = step[0] * frame[0] + step[1] * frame[1] + step[2] * frame[2]
     side = step[0] * frame[3] + step[1] * frame[4] + step[2] * frame[5]
     sink = step[0] * frame[6] + step[1] * frame[7] + step[2] * frame[8]
-    # slices of a column as high as the radius; 20 leave 1 % beside a corner of R/5, 40 and 80 less than 0.2 %
-    count = 1 + min(int((40 if p.end_radius > 0.0 else ROUND) * math.sqrt(height / p.radius)), 1000)
+    count = 1 + min(int((SLICES if p.end_radius > 0.0 else ROUND) * math.sqrt(height / p.radius)), 1000)
     thin = height / (count * count)
     entry = ENTRIES / p.radius
     slant = end_x * step[6] + end_y * step[7]
@@ -634,51 +668,63 @@ def _sort_column(s, p, step, frame, share, column, lost):
     leaves = False
     if at > 0.0 and slant < at * step[14] * step[14]:
         square = end_x * end_x + end_y * end_y + (end_z + height) * (end_z + height) - at * at
-        wide = _radius_at(p.profile.parts, at) + p.spacing
-        leaves = square > wide * wide
-    b = np.int64(-1)
+        radius = _radius_at(p.profile.parts, at)
+        leaves = square > radius * radius
+    first_h = end_x * frame[6] + end_y * frame[7] + end_z * frame[8]
+    first_1 = end_x * frame[0] + end_y * frame[1] + end_z * frame[2]
+    first_2 = end_x * frame[3] + end_y * frame[4] + end_z * frame[5]
+    b, level = np.int64(-1), abs(sink) < 1e-6 * m and abs(side) < 1e-6 * m
     for n in range(count):
-        up, each = (n * n + n + 0.5) * thin, (2 * n + 1) * lost / (count * count)  # from n^2 to (n + 1)^2
+        up, each = (n * n + (2 * n + 1) * within) * thin, (2 * n + 1) * lost / (count * count)  # from n^2 to (n + 1)^2
         beyond, at = False, (end_z + up) * step[8] + slant
         if leaves:
             square = end_x * end_x + end_y * end_y + (end_z + up) * (end_z + up) - at * at
-            radius = _radius_at(p.profile.parts, at) + slack
+            radius = _radius_at(p.profile.parts, at)
             beyond = at > 0.0 and square > radius * radius and slant < at * step[14] * step[14]
         before = 0.5 * share  # of the lowest place
+        end_1, end_2, end_h = first_1 + up * frame[2], first_2 + up * frame[5], first_h + up * frame[8]
         # steps to the moment at which the tool meets a slice
-        for left in range(2 if p.end_radius > 0.0 else 0, -1, -1):
-            u, v, w = end_x + before * step[0], end_y + before * step[1], end_z + before * step[2] + up
-            h = u * frame[6] + v * frame[7] + w * frame[8]
-            e1 = u * frame[0] + v * frame[1] + w * frame[2]
-            e2 = u * frame[3] + v * frame[4] + w * frame[5]
+        for left in range(2, -1, -1):
+            e1, e2, h = end_1 + before * m, end_2 + before * side, end_h + before * sink
             rho = math.sqrt(e1 * e1 + e2 * e2) + 1e-15
             across = e2 / rho
-            if beyond:
-                across, rho = e2 / radius, radius
             if b < 0:
                 b = np.int64(shape.piece[min(np.int64(rho * entry), ENTRIES)])
-            while b < last and _above(shape, b, rho, h * levels, p.level_step):
-                b += 1
-            while b > 0 and not _above(shape, b - 1, rho, h * levels, p.level_step):
-                b -= 1
-            if left == 0 and h > p.end_radius - rho and shape.sine[b] < FLAT and shape.edges[b] < 0.5:
-                while b < last and shape.sine[b] < FLAT:  # nearer to the side, which left it in a cell of its rim
+            if not (level or beyond):
+                while b < last and _above(shape, b, rho, h * levels, p.level_step):
                     b += 1
-            # cos(kappa) of a piece of an arc, below which it is seen from the middle of the way
-            if beyond or left == 0 or (shape.bend[b] > 0.0 and shape.cosine[b] < 0.9):
+                while b > 0 and not _above(shape, b - 1, rho, h * levels, p.level_step):
+                    b -= 1
+            steep = level or beyond or (shape.cosine[b] < STEEP and abs(sink) < m)
+            if steep:  # a height and its e2 meet the circle at this height
+                h = max(h, 0.0)
+                while b < last and h * levels >= shape.edges[b + 1]:
+                    b += 1
+                while b > 0 and h * levels < shape.edges[b]:
+                    b -= 1
+                radius = _radius_at(p.profile.parts, h) + 1e-15
+                across = min(max(e2 / radius, -1.0), 1.0)
+            # above the end at the start: the side left it in a cell of its rim
+            if left == 0 and end_h + share * sink > 2.0 * p.level_step and shape.edges[b] < 0.5:
+                while b < last and shape.sine[b] < FLAT:
+                    b += 1
+            if beyond or left == 0 or level or (not steep and shape.bend[b] > 0.0 and shape.cosine[b] < 0.9):
                 break
-            gap = (rho - shape.rims[b]) * shape.sine[b] - (h - shape.edges[b] * p.level_step) * shape.cosine[b]
-            speed = (m * e1 + side * e2) / rho * shape.sine[b] - sink * shape.cosine[b]
-            before = min(max(before - gap / max(speed, 1e-15), 0.0), share)
+            if steep:
+                now = (radius * math.sqrt(1.0 - across * across) - end_1) / m
+            else:
+                gap = (rho - shape.rims[b]) * shape.sine[b] - (h - shape.edges[b] * p.level_step) * shape.cosine[b]
+                speed = (m * e1 + side * e2) / rho * shape.sine[b] - sink * shape.cosine[b]
+                now = before - gap / max(speed, 1e-15)
+            before = min(max(now, 0.0), share)
         if beyond and (e1 <= 0.0 or abs(e2) >= radius):
             s.floats[UNDERCUT] += each * p.level_step
             continue
-        if b == last:  # a row of nodes along a wall fills more than a bin
-            across += beside / rho
         angle = np.int64(p.front[np.int64(BEYOND + 0.5 * SINES * (1.0 + across))])
-        if e1 < 0.0:
+        if e1 < 0.0 and not level:
             angle += bins
         s.edge.lost[angle, b] += each
+        s.edge.ahead[angle, b] += each * math.sqrt(max(1.0 - across * across, 0.0))
         if b == last:
             s.edge.raised[angle] += each * h * levels
 

@@ -73,11 +73,14 @@ def test_the_end_edges_of_a_ramp_have_their_force_at_every_step(tilt, slope):
         assert ramp_error(TOOLS["flat"], EDGE, ALONG[tilt], slope, dt) < 0.01, dt
 
 
-def test_the_error_falls_with_the_square_of_the_width_of_a_bin_and_does_not_depend_on_the_step():
-    """A slot: 0.47 and 0.12 % with 18 and 36 bins, 0.04 % with 72 and more; 0.04 to 0.09 % with steps of 2 to 32 ms."""
+def test_the_error_falls_with_the_fourth_power_of_the_width_of_a_bin_and_does_not_depend_on_the_step():
+    """A slot: 9.9 and 0.6 % with 6 and 12 bins, 0.03 to 0.04 % from 18 on; 0.03 to 0.09 % with steps of 2 to 32 ms.
+
+    The force of two places in a bin is exact for what changes as a cubic within it.
+    """
     slot = TOOLS["ball"], SHARP, ALONG["lead 15"], (-9e-3, 9e-3)
-    coarse, fine = (error(*slot, bins=bins) for bins in (18, 36))
-    assert fine < coarse / 3.5 and error(*slot, dt=32e-3) < 2e-3
+    coarse, fine = (error(*slot, bins=bins) for bins in (6, 12))
+    assert fine < coarse / 12.0 and error(*slot, bins=18) < 1e-3 and error(*slot, dt=32e-3) < 2e-3
 
 
 @pytest.mark.parametrize("name", ["flat", "ball", "bull", "taper"])
@@ -127,8 +130,8 @@ def test_a_part_that_is_turned_with_its_tool_has_the_forces_of_the_same_cut_in_t
     wrench, moment, _ = cut.along(path, n * np.arange(x.size), axes=np.tile(axis, (x.size, 1)))
     chosen = (x > 11e-3) & (x < 19e-3)
     seen = turned.inv().apply(wrench[chosen, :3].mean(axis=0))
-    assert seen == pytest.approx(force, abs=0.02 * np.linalg.norm(force))
-    assert moment[chosen].mean() == pytest.approx(torque, rel=0.02)
+    assert seen == pytest.approx(force, abs=0.01 * np.linalg.norm(force))
+    assert moment[chosen].mean() == pytest.approx(torque, rel=0.01)
 
 
 def test_a_tilted_step_taken_back_leaves_every_bit_and_the_next_step_unchanged():
@@ -163,28 +166,17 @@ def test_the_volume_above_a_leaning_flank_is_counted():
     assert 0.5 * triangle < cut.undercut_volume < triangle  # the cells of the rim, 0.1 of 0.38 mm, are the tool's
 
 
-#: largest error of a strip of 5 % of the width, 2 to 7 nodes of 0.1 mm, where it is not 2 %
-STRIPS = {
-    ("flat", "lean 45"): 0.033,
-    ("bull", "lean 45"): 0.028,
-    ("taper", "lean 15"): 0.034,
-    ("taper", "lean 45"): 0.029,
-    ("ball", "lead 45"): 0.024,
-}
-
-
 @pytest.mark.parametrize(("name", "tilt"), CASES)
 def test_the_force_of_a_narrow_strip_is_that_of_the_quadrature(name, tilt):
-    """Up and down, three laws; the usual suite takes one of these six in turn."""
+    """5 % of the width, 2 to 5 nodes; up and down, three laws; the usual suite takes one of these six in turn."""
     cells, k = list(itertools.product(("up", "down"), CUTTINGS)), CASES.index((name, tilt))
     for side, law in cells if LONG else [cells[k % 6]]:
-        strip = error(TOOLS[name], CUTTINGS[law], ALONG[tilt], sides_of(name, tilt, side, 0.05))
-        assert strip < STRIPS.get((name, tilt), 0.02), (side, law)
+        assert error(TOOLS[name], CUTTINGS[law], ALONG[tilt], sides_of(name, tilt, side, 0.05)) < 0.02, (side, law)
 
 
 def test_the_error_of_a_narrow_strip_falls_with_the_map():
-    """Three rows of nodes beside a cone that is steep below the top: a node has no room for the bend of its cell."""
-    strip = TOOLS["taper"], EDGE, ALONG["lean 15"], sides_of("taper", "lean 15", "up", 0.05)
+    """Five and ten rows of nodes beside the wall of a flat end that leads."""
+    strip = TOOLS["flat"], EDGE, ALONG["lead 15"], sides_of("flat", "lead 15", "down", 0.05)
     coarse, fine = (error(*strip, grid_step=step) for step in (1e-4, 5e-5))
     assert fine < 0.5 * coarse
 
