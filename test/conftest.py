@@ -15,20 +15,15 @@ import io
 import json
 import subprocess
 import sys
-import tempfile
 import time
 from pathlib import Path
 from types import SimpleNamespace
 
-import numpy as np
 import pytest
 from hostile import SHORT
 from hypothesis import settings
 from json_keys import answer_of, every_answer_is_in_the_table
 from ros_domain import DISCOVERY, ROOT, own_domain, own_turn
-
-from kr270_milling.cell.cell import Cell
-from kr270_milling.cell.models import cut_of, path_of
 
 #: every process that a test starts runs this checkout, not an installed package
 os.environ["PYTHONPATH"] = os.pathsep.join(filter(None, [str(ROOT), os.environ.get("PYTHONPATH")]))
@@ -51,6 +46,8 @@ def pytest_configure(config):
 
 def compile_cuts() -> None:
     """Compile what most tests need before workers start, each of which would compile it again: half on each core."""
+    from samples.small_part import compile_cut
+
     from kr270_milling.decide.check import check
 
     other = subprocess.Popen([sys.executable, "-c", "import conftest; conftest.compile_learning()"], cwd=ROOT / "test")
@@ -61,28 +58,14 @@ def compile_cuts() -> None:
 
 def compile_learning() -> None:
     """Compile the model of the teeth and the learning, then the cut and the check of a leaning tool."""
+    from samples.small_part import compile_cut
+
     from kr270_milling.cell.jobs import compensated, simulate
     from kr270_milling.decide.check import check
 
     cell = compile_cut("teeth")
     compensated(cell, simulate(cell), "learned")
     check(compile_cut("engagement", gcode="G21 S8000 M3\nG43.5 H1\nG0 X-9 Y8 Z30 J1 K3\nG0 Z-1\nG1 X9 F600\nM30\n"))
-
-
-def compile_cut(detail: str, *more: str, gcode: str = "") -> Cell:
-    """Compile the pass, the cut along a path and a single step; returns the cell."""
-    from samples.small_part import GCODE, small_part
-
-    from kr270_milling.cell.jobs import simulate
-
-    with tempfile.TemporaryDirectory() as directory:
-        cell = small_part(Path(directory), gcode or GCODE, f"cutting.detail={detail}", *more)
-        assert path_of(cell).target
-    simulate(cell)
-    places = np.zeros((2, 3))
-    cut_of(cell).along(places, np.array([0, 1]))
-    cut_of(cell).sweep(*places, 0, 1)
-    return cell
 
 
 @pytest.hookimpl(trylast=True)

@@ -5,8 +5,8 @@ import re
 from pathlib import Path
 
 import pytest
-from conftest import compile_cut
 from hostile import ask, settings
+from samples.small_part import compile_cut
 
 from kr270_milling.decide.check import check
 from kr270_milling.decide.findings import KINDS

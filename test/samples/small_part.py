@@ -1,5 +1,6 @@
 """A small tool path in the paper's cell: a corner with a stop, an arc, an exit; some 1.5 s of milling."""
 
+import tempfile
 from pathlib import Path
 
 import numpy as np
@@ -7,6 +8,8 @@ import numpy as np
 from kr270_milling.base.parameter_file import find_file
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.cell_file import read_cell
+from kr270_milling.cell.jobs import simulate
+from kr270_milling.cell.models import cut_of
 from kr270_milling.path.controller_motion import controller_motion
 from kr270_milling.path.timing import TimedPath
 from kr270_milling.path.trajectory import Trajectory
@@ -40,6 +43,17 @@ def assignments(directory, gcode: str | bytes = GCODE, *more: str) -> list[str]:
     path = Path(directory, "part.nc")
     path.write_bytes(gcode if isinstance(gcode, bytes) else gcode.encode())
     return [f"path.file={path}", *SET, *more]
+
+
+def compile_cut(detail: str, *more: str, gcode: str = GCODE) -> Cell:
+    """Compile the pass, the cut along a path and a single step; returns the cell."""
+    with tempfile.TemporaryDirectory() as directory:
+        cell = small_part(directory, gcode, f"cutting.detail={detail}", *more)
+        simulate(cell)
+    places = np.zeros((2, 3))
+    cut_of(cell).along(places, np.array([0, 1]))
+    cut_of(cell).sweep(*places, 0, 1)
+    return cell
 
 
 def swayed(target: Trajectory, size: float = 50e-6) -> Trajectory:
