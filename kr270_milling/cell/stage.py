@@ -30,7 +30,7 @@ class Removal:
 
     @property
     def quick(self) -> Removal:
-        """The removal for the many passes of simulated robots, each of which begins with a stock of its own."""
+        """The removal for the many passes of simulated robots, which sweep it on another stock each."""
         return self if self.few is None else replace(self, actual=self.few)
 
 

@@ -395,6 +395,13 @@ def test_a_quick_pass_has_a_grid_of_five_nodes_a_tooth_and_keeps_the_deviation(t
     assert rows[1] == pytest.approx(rows[0], rel=0.03)
 
 
+def test_quick_passes_of_a_long_program_have_fewer_exchanges(tmp_path):
+    for feed, period in ((6.0, 4e-3), (4.0, 6e-3)):  # [mm/min]: 34 mm in 340 s and in 510 s
+        program = f"G21 S8000 M3\nG0 X-14 Y0 Z-0.5\nG1 X20 F{feed}\nM30\n"
+        quick = coarser(small_part(tmp_path, program, "cutting.detail=engagement"))
+        assert quick.exchange.period == coarser(quick).exchange.period == pytest.approx(period, rel=0.02)
+
+
 def test_a_verdict_states_how_far_quick_passes_are_from_full_ones_and_runs_full_ones_where_that_is_much(
     tmp_path, monkeypatch
 ):

@@ -14,6 +14,8 @@ from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.cell_file import read_cell, read_cells
 from kr270_milling.cell.jobs import simulate
 from kr270_milling.cell.models import path_of
+from kr270_milling.cell.plant import coarser
+from kr270_milling.cell.stage import swept
 from kr270_milling.decide.check import check
 from kr270_milling.decide.check_cut import engagement, rapid_violations
 from kr270_milling.decide.compensation import in_turn
@@ -90,6 +92,10 @@ def test_a_soft_arm_leaves_material_that_the_next_tool_finds(tmp_path):
     assert 1e9 * second.result.removed_volume == pytest.approx(1e9 * missed * 60e-3 * 1e-3, rel=0.5)
     (moved,) = cell.stage.earlier
     assert moved.spring_back > 0.5 * missed
+    (quick,) = coarser(cell).stage.earlier  # simulated robots begin with fewer places, and nearly the same stock
+    assert len(quick.actual) < 0.7 * len(moved.actual)
+    left, few = (swept((removal,), cell.stock, True).map_heights()[2] for removal in (moved, quick))
+    assert 0.0 < np.abs(few - left).sum() < 1e-3 * np.abs(left).sum()
 
 
 def test_rapid_moves_where_the_tool_before_has_cut_are_no_contact(tmp_path):
