@@ -39,8 +39,8 @@ class PlacedArm:
         """The arm without compliances and masses, in which simulated robots differ: its joint positions are theirs."""
         arm = self.arm.replace(joint_compliance=np.full(6, 1e-6), link_mass=np.ones(6), base_compliance=np.zeros(3))
         still = Dynamics(mass_model="rigid", damping_ratio=0.0)
-        tool = self.tool.replace(stiffness=0.0, stick_out=0.0)
-        return PlacedArm(arm, self.mount.replace(mass=0.0), self.workpiece, still, tool, self.near)
+        mount, any_tool = self.mount.replace(mass=0.0), Tool(diameter=0.01, teeth=1)
+        return PlacedArm(arm, mount, self.workpiece, still, any_tool, self.near)
 
     @property
     def posture(self) -> np.ndarray:

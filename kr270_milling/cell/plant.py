@@ -249,7 +249,7 @@ def _drawn(cell: Cell, rng: np.random.Generator | Numbers) -> Cell:
 
 def _softer(cell: Cell, rng: np.random.Generator | Numbers, factors: np.ndarray) -> tuple[np.ndarray, Tool]:
     """Compliances of the base (3,) [rad/(N m)] and the tool of a plant; factors (4,): on those that the cell has."""
-    assumed, own, tool = cell.uncertainty, cell.arm.base_compliance, cell.tool
+    assumed, own, tool = cell.uncertainty, cell.arm.base_compliance, cell.tool.replace(holder=np.zeros(0))
     drawn = assumed.base_compliance * np.append(rng.random(2), 0.0)
     base = np.where(own > 0.0, own * factors[:3], drawn)
     longest = tool.replace(stiffness=0.0, stick_out=min(0.5, assumed.tool_stick_out * tool.diameter))

@@ -402,6 +402,14 @@ def test_quick_passes_of_a_long_program_have_fewer_exchanges(tmp_path):
         assert quick.exchange.period == coarser(quick).exchange.period == pytest.approx(period, rel=0.02)
 
 
+def test_robots_of_a_tool_in_a_holder_share_the_times_of_the_program(tmp_path):
+    program = "G21 S8000 M3\nG0 X-14 Y0 Z-0.5\nG1 X20 F4000\nM30\n"
+    cell = small_part(tmp_path, program, "tool.holder_mm=[20,0,20,40]", "tool.stick_out_mm=60")
+    robots = [perturbed(cell, np.random.default_rng(seed)) for seed in (1, 2)]
+    assert robots[0].tool.lateral_compliance != robots[1].tool.lateral_compliance > 0.0
+    assert all(path_of(robot).target is path_of(cell).target for robot in robots)
+
+
 def test_a_verdict_states_how_far_quick_passes_are_from_full_ones_and_runs_full_ones_where_that_is_much(
     tmp_path, monkeypatch
 ):
