@@ -181,7 +181,7 @@ def _keep(place, n, touched):
     place[NZ + n] = touched[3] if first else place[NZ + n]
 
 
-@compiled
+@inlined
 def _radius_at(parts, h):
     """Return the radius of the tool at a height above its tip [m]."""
     radius = 0.0
