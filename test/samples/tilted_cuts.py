@@ -153,6 +153,38 @@ def ramp_error(tool: Tool, cutting: Cutting, tilt, slope: float, dt=4e-3) -> flo
     return float(np.abs(force - mean).max() / np.linalg.norm(mean))
 
 
+def bore_error(tool: Tool, cutting: Cutting, around=2e-3, pitch=1e-3, dt=4e-3) -> float:
+    """Return the error of the mean force, a share of its size, of an upright tool in a helical bore.
+
+    around [m]: radius of the helix; pitch [m]: fall in a turn. A place is in the stock where no earlier pose of the
+    last turn covers it. The force turns with the tool, and the quadrature has it in the frame of the move.
+    """
+    n, rate = round(SPEED * dt / MICRO_STEP), VELOCITY * dt / around
+    stock = Stock(min=np.array([-11e-3, -11e-3, -12e-3]), max=np.array([11e-3, 11e-3, 0.0]), grid_step=1e-4)
+    cut, turned = EngagementCut(tool, cutting, stock, MICRO_STEP), np.arange(-0.5, 6.0 * math.pi, rate)
+    fall = pitch / (2.0 * math.pi)
+    path = np.column_stack([around * np.cos(turned), around * np.sin(turned), -3.5e-3 - fall * turned])
+    wrench, _, _ = cut.along(path, n * np.arange(turned.size))
+    lag, passes = 0.5 + math.pi / TEETH / (n * MICRO_STEP), n * MICRO_STEP * TEETH / (2.0 * math.pi)
+    angle, chosen = turned - lag * rate, turned > 4.0 * math.pi
+    ahead = np.column_stack([-np.sin(angle), np.cos(angle)])
+    seen = [(wrench[:, :2] * ahead).sum(1), ahead[:, 0] * wrench[:, 1] - ahead[:, 1] * wrench[:, 0], wrench[:, 2]]
+    force = np.mean(np.stack(seen, -1)[chosen], axis=0)
+    (r, h, _, _), top = edge(tool), -path[chosen, 2].mean() - fall * lag * rate
+
+    def inside(places):
+        fresh = places[..., 2] < top
+        for back in np.radians(np.arange(2.0, 362.0, 2.0)):  # earlier tips from the present one, which moves along x
+            x, y = -around * math.sin(back), around * (math.cos(back) - 1.0)
+            up = places[..., 2] - fall * back
+            fresh &= ~((up > 0.0) & (np.hypot(places[..., 0] - x, places[..., 1] + y) < np.interp(up, h, r)))
+        return fresh
+
+    step = np.array([VELOCITY * dt, 0.0, -fall * rate])
+    exact, _ = quadrature(tool, cutting, np.array([0.0, 0.0, 1.0]), step, passes, inside, turns=300)
+    return float(np.abs(force - exact).max() / np.linalg.norm(exact))
+
+
 def error(*arguments, **options) -> float:
     """Return the error of the mean force, a share of its size."""
     (force, _), (exact, _) = measured(*arguments, **options)

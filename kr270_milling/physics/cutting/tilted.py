@@ -16,7 +16,7 @@ over the cell.
 The volume that a column loses is divided into slices, the thinnest at its lower end. Each is sorted by its angle phi
 and its piece of the edge. A tool that moves across its axis meets a slice where e2 = r sin(phi), r the radius at its
 height; so does a steep flank. Beside a level end d.n falls to zero within a step, and some Newton steps find the place.
-Arcs are seen from the middle of the way. A column stands at a scattered place of its cell and a slice at a scattered
+Arcs are seen from the middle of the way. A column is at a scattered place of its cell and a slice at a scattered
 height, in proportion to the volume there: rows of nodes in the middle of their cells left bins beside d.n = 0 empty,
 and forces of a strip of 5 % of the width, of some four rows of nodes, were up to 7 % wrong.
 
@@ -45,7 +45,7 @@ MISSED = math.inf  # height of a tool that does not cover a node
 SLICES, ROUND = 8, 2  # of a column as high as the radius, of a tool with a level end and of another one
 STEEP = 0.3  # cos(kappa) of a flank, whose radius depends little on the height
 U, V, X, Y, Z, NU, NV, NZ, LAST, RISE, COVER, SLOPE = (RUN * k for k in range(12))  # rows of ``EdgeBins.place``
-# a column stands at a place in its cell, and a slice at a height in the column, so that a row of nodes along the feed
+# a column is at a place in its cell, and a slice at a height in the column, so that a row of nodes along the feed
 # fills all bins that its cells meet: SCATTER_X i + SCATTER_Y j and SCATTER_U i + SCATTER_V j, as shares of 2^32
 SCATTER_X, SCATTER_Y = np.uint32(0.5698402910 * 2.0**32), np.uint32(0.7548776662 * 2.0**32)
 SCATTER_U, SCATTER_V = np.uint32(0.8191725134 * 2.0**32), np.uint32(0.6710436067 * 2.0**32)
@@ -181,7 +181,7 @@ def _keep(place, n, touched):
     place[NZ + n] = touched[3] if first else place[NZ + n]
 
 
-@compiled
+@inlined
 def _radius_at(parts, h):
     """Return the radius of the tool at a height above its tip [m]."""
     radius = 0.0
@@ -606,31 +606,38 @@ def _lower_run(s, p, step, frame, tip_z, low, base, x, start):
     lower_nodes(s, p, base, first)
     hashed = np.uint32(base >> 8) * SCATTER_X + np.uint32(first) * SCATTER_Y
     jitter = np.uint32(base >> 8) * SCATTER_U + np.uint32(first) * SCATTER_V
+    ux, uy = step[12], step[13]
+    for n in range(RUN):
+        at, place[RISE + n] = _place_in_cell(
+            place[MIDDLE + n],
+            np.float64(work[REST + n]),
+            np.float64(work[FALL + n]),
+            np.float64(np.uint32(hashed + np.uint32(n) * SCATTER_Y)) * 2.0**-32,
+        )
+        place[LAST + n] = depth - (place[MIDDLE + n] + 2.0 * at * np.float64(work[FALL + n])) * p.level_step
+        shift, part = -math.copysign(at, at * place[SLOPE + n]), np.float64(work[PART + n])
+        # in the covered part; a node that the tool does not cover is at its rim
+        out = math.copysign(1.0, place[X + n] * frame[3] + place[Y + n] * frame[4] + place[LAST + n] * frame[5])
+        covered = out * part * (out * shift - 0.5) + (0.0 if part < 0.5 else out * (part - 0.5))
+        shift = p.spacing * (covered if part < 1.0 else shift)
+        place[X + n], place[Y + n] = place[X + n] + shift * side_x, place[Y + n] + shift * side_y
+        place[U + n] = place[X + n] * ux + place[Y + n] * uy
+        place[V + n] = place[Y + n] * ux - place[X + n] * uy
+    _touch_run(p.profile.parts, place, step[14], step[15])
     for n in range(RUN):
         lost, share = np.float64(work[LOST + n]), np.float64(work[SHARE + n])
         if lost > 0.0:
-            at, height = _place_in_cell(
-                place[MIDDLE + n],
-                np.float64(work[REST + n]),
-                np.float64(work[FALL + n]),
-                np.float64(np.uint32(hashed + np.uint32(n) * SCATTER_Y)) * 2.0**-32,
-            )
-            shift, part = -math.copysign(at, at * place[SLOPE + n]), np.float64(work[PART + n])
-            if part < 1.0:  # in the covered part; a node that the tool does not cover is at its rim
-                out = math.copysign(1.0, place[X + n] * frame[3] + place[Y + n] * frame[4] + place[Z + n] * frame[5])
-                shift = out * part * (out * shift - 0.5) + (0.0 if part < 0.5 else out * (part - 0.5))
-            shift *= p.spacing
-            x, y = place[X + n] + shift * side_x, place[Y + n] + shift * side_y
-            z, _ = _look(p, step, share, x, y)
-            if z == MISSED:
-                z = depth - (place[MIDDLE + n] + 2.0 * at * work[FALL + n]) * p.level_step
+            x, y, z = place[X + n], place[Y + n], place[Z + n]
+            if share < 1.0:
+                z, _ = _look(p, step, share, x, y)
+            z = place[LAST + n] if z == MISSED else z
             within = np.float64(np.uint32(jitter + np.uint32(n) * SCATTER_V)) * 2.0**-32
-            _sort_column(s, p, step, frame, share, (x, y, z, height * p.level_step, within), lost)
+            _sort_column(s, p, step, frame, share, (x, y, z, place[RISE + n] * p.level_step, within), lost)
 
 
 @inlined
 def _place_in_cell(goal, rest, fall, chance):
-    """Return where a column stands in its cell, -0.5 at the high side to 0.5 at the deep side, and its height [levels].
+    """Return the place of a column in its cell, -0.5 at the high side to 0.5 at the deep side, and its height [levels].
 
     The tool is goal - fall to goal + fall below the top. ``rest``: mean depth of the former surface of the same slope.
     chance, 0 to 1: of the volume between both, the share on the high side of the column.

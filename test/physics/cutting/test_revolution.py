@@ -17,6 +17,7 @@ from samples.tilted_cuts import (
     TEETH,
     TOOLS,
     VELOCITY,
+    bore_error,
     error,
     measured,
     ramp_error,
@@ -58,6 +59,11 @@ def test_a_ramp_down_and_up_and_a_plunge_have_the_force_of_the_quadrature(name, 
     square = (k + list(TOOLS).index(name)) % 3
     for law in CUTTINGS if LONG else [list(CUTTINGS)[square]]:
         assert ramp_error(TOOLS[name], CUTTINGS[law], UPRIGHT, (3.0, -3.0, 90.0)[k]) < 0.02, law
+
+
+@pytest.mark.parametrize("tool", [FLAT, *(TOOLS[name] for name in ("ball", "bull", "taper"))])
+def test_the_mean_force_of_a_helical_bore_is_that_of_the_quadrature(tool):
+    assert bore_error(tool, EDGE) < 0.02
 
 
 @pytest.mark.parametrize("name", TOOLS)
