@@ -280,7 +280,11 @@ class Flow:
         """Run a line and return the index of the next one."""
         machine = self.machine
         if index in self.controls:
-            self.machine.program.words["used"] += 1
+            program = machine.program
+            program.words["used"] += 1
+            if self.lines[index].lstrip("Nn.0123456789 \t").startswith("/"):
+                program.silent["/"] += 1
+                program.skippable[program.place, program.line] = None
             self.jumped = True
             return self._control(index, self.controls[index])
         title = not self.called and not (self.jumped and len(self.machine.program))  # of the main program
