@@ -137,8 +137,8 @@ class RsiSession:
         corrector.path = copy.copy(corrector.path)
         with open_socket("127.0.0.1", 0) as own:
             own.sendto(f"<Rob>{text}<IPOC>0</IPOC></Rob>".encode(), own.getsockname())
-            twin = replace(self, connection=own, corrector=corrector, report=lambda _: None, record=None)
-            twin.answer_newest()
+            rehearsal = replace(self, connection=own, corrector=corrector, report=lambda _: None, record=None)
+            rehearsal.answer_newest()
 
     def run(self) -> None:
         """Answer telegrams until the end."""
