@@ -149,7 +149,6 @@ def fresh_directory(out) -> Path:
     raise FileExistsError(f"{out}: contains too many runs")
 
 
-LONGEST_LINE = 4096  #: characters; controls take 80 to 512
 MOST_BYTES = 1 << 30  # the file is read at once; a block of a tool path has some 30 bytes
 
 
@@ -179,9 +178,10 @@ def read_lines(path) -> list[str]:
     text = data.decode(encoding_of(data)).removeprefix("\ufeff")
     lines = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
     sizes = list(map(len, lines))
-    if max(sizes) > LONGEST_LINE:
-        line = next(n for n, size in enumerate(sizes, 1) if size > LONGEST_LINE)
-        raise InputError(path, f"the line has {sizes[line - 1]} characters, more than {LONGEST_LINE}", line)
+    longest = 4096  # characters; controls take 80 to 512
+    if max(sizes) > longest:
+        line = next(n for n, size in enumerate(sizes, 1) if size > longest)
+        raise InputError(path, f"the line has {sizes[line - 1]} characters, more than {longest}", line)
     return lines
 
 

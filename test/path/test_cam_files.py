@@ -16,6 +16,7 @@ from hypothesis import strategies as st
 
 from kr270_milling.base.errors import InputError
 from kr270_milling.base.frames import rotation_from_abc, rotation_from_quaternion
+from kr270_milling.cell import sections  # noqa: F401 (puts .mcap into the table of readers)
 from kr270_milling.path.cam.arcs import ArcError, arc_points, centre_from_radius
 from kr270_milling.path.cam.readers import READERS, PathReader, read_path_file, read_toolpath
 from kr270_milling.path.toolpath import REACH, PathBuilder, Toolpath

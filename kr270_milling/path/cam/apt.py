@@ -41,7 +41,6 @@ SILENT = frozenset({
 })  # fmt: skip
 TEXTS = ("PARTNO", "PPRINT", "REMARK", "INSERT", "LETTER")  #: their values are text, in which $ is a character
 TEXT = re.compile(rf"\s*(?:{'|'.join(TEXTS)})\b", re.I)
-SYSTEMS = ("MSYS", "ORIGIN", "CSYS")  #: words that set the origin of the coordinates
 MILL = "post CL data of a 3-axis mill: GOTO, CIRCLE, FEDRAT, RAPID"
 DATUM = "let the CAM output coordinates of one system"
 MOVES = "let the CAM output this move as GOTO"
@@ -96,7 +95,9 @@ class _AptReader(Machine):
                         "CUTTER": self._cutter, "TLDATA": self._cutter, "CUTCOM": self._compensation,
                         "RETRCT": self._retract, "CYCLE": self._cycle,
                         "AUXFUN": self._auxiliary, "PREFUN": self._preparatory,
-                        **{word: functools.partial(self._system, word) for word in SYSTEMS}}  # fmt: skip
+                        "MSYS": functools.partial(self._system, "MSYS"),
+                        "CSYS": functools.partial(self._system, "CSYS"),
+                        "ORIGIN": functools.partial(self._system, "ORIGIN")}  # fmt: skip
 
     @property
     def started(self) -> bool:
