@@ -7,7 +7,7 @@ import pytest
 
 from kr270_milling import read_cell
 from kr270_milling.base.column import as_dict
-from kr270_milling.base.errors import ConfigError, ParameterError
+from kr270_milling.base.errors import ConfigError
 from kr270_milling.cell.jobs import ScoredPass, compensated, simulate
 from kr270_milling.cell.models import arm_model_of, arm_of, path_of
 from kr270_milling.cell.plant import Plant, imperfect_arm, joint_gaps
@@ -34,17 +34,6 @@ def cell():
 @pytest.fixture(scope="module")
 def ran(cell):
     return simulate(cell)
-
-
-def test_what_was_learned_beside_the_robots_moves_the_tool_on_the_measured_path_alone(cell, ran):
-    """20 um at the end of the cut; the cut answers with less than a tenth of it."""
-    for length, least, most in ((12e-3, 18 * UM, 22 * UM), (13e-3, 0.0, 0.0)):
-        rows = np.array([0.0, 0.0, 0.0, 0.0, length, 0.0, 20 * UM, 0.0])
-        robot = cell.replace(uncertainty=cell.uncertainty.replace(learned_rest=rows))
-        beside = Plant(cell, robot).run(path_of(cell).target).actual - ran.result.actual
-        assert least <= beside[-1, 1] <= most and abs(beside[0, 1]) < 1e-9
-    with pytest.raises(ParameterError, match="learned_rest"):
-        cell.uncertainty.replace(learned_rest=rows[::-1])
 
 
 def test_repeatability_is_that_of_iso_9283_and_each_seed_and_number_of_a_pass_has_its_shift_and_noise():

@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 from hostile import printed, settings
-from samples.milled_part import RADIUS, SETTINGS, SLOT, small_cell
+from samples.milled_part import SETTINGS, SLOT, small_cell
 from scipy.stats import binom
 
 from kr270_milling.base.errors import InputError, ParameterError
@@ -176,23 +176,6 @@ def test_the_wear_of_the_tool_is_learned_within_its_band_and_a_second_part_narro
     assert second.cell.uncertainty.learned_from == ("wall.csv", "wall2.csv")
 
 
-def test_what_places_show_beside_the_robots_is_taken_near_them_and_as_far_as_the_noise_allows(
-    cell, measured, monkeypatch
-):
-    """Robots with a sideways displacement of 20 um, places with a noise of 10 um: 20^2 / (20^2 + 10^2 / 8) is taken."""
-    monkeypatch.setattr(parts, "REACH", 10e-3)
-    part, count, knots = measured[0], len(measured[0].error), path_of(cell).target
-    out = PredictedPlaces(coarser(cell), part).normal[:, 1]  # on both walls, away from the slot; 0 on the floor
-    own = 20 * UM * np.random.default_rng(7).normal(size=(2000, 1))
-    moved = np.tile([0.0, 1.0, 0.0], (len(knots), 1)).ravel()
-    rows, noise = np.hstack([own * out, own * moved]), np.diag(np.full(count, (10 * UM) ** 2))
-    beyond = knots.position[:, 0] < -6e-3 - RADIUS - parts.REACH
-    distance, rest = parts._rest(coarser(cell), [(part, None, "")], 30 * UM * out, rows, noise, np.ones(count, bool))
-    near = np.interp(34e-3, distance, rest[:, 1])  # in the middle of the slot
-    assert near == pytest.approx(30 * UM * 400 / (400 + 100 / np.sum(out**2)), rel=0.1)
-    assert beyond[0] and np.abs(rest[0]).max() == 0.0 and np.abs(rest[:, [0, 2]]).max() < 1e-12
-
-
 def test_a_program_stays_where_the_robots_gain_less_than_a_tenth(cell, monkeypatch):
     monkeypatch.setattr(compensation, "PLANNED", 2)
     target = path_of(cell).target
@@ -224,7 +207,6 @@ def test_the_command_learns_keeps_its_result_in_a_file_and_refuses_what_it_canno
     again = read_cell(tmp_path / "with.yaml", [*SETTINGS, f"path.file={tmp_path / 'path.nc'}", *FEW])
     assert again.uncertainty.learned.size == numbers_of(again)
     assert again.uncertainty.learned_from[0].startswith("wall.csv, 12 places, as programmed")
-    assert again.uncertainty.learned_rest[-4] == pytest.approx(path_of(again).length)
     wall.write_text("\n".join(["x_mm,y_mm,error_um,sigma_um,surface", *lines[:5]]))
     for more, words_of_error in (
         (["--measured", str(wall)], "has 5 places, but a measured part needs 6 to 200"),
