@@ -167,10 +167,7 @@ def robot_passes(cell: Cell, target: Trajectory, reference: Trajectory) -> list[
     """
     planning_seed = 1_000_000  # seed of these robots: the seeds of a verdict are smaller
     model, rng = coarser(cell), np.random.default_rng(planning_seed)
-    known = model.replace(
-        imperfections=Imperfections(), uncertainty=model.uncertainty.replace(learned_rest=np.zeros(0))
-    )
-    drawn = [known, *(perturbed(model, rng) for _ in range(PLANNED))]
+    drawn = [model.replace(imperfections=Imperfections()), *(perturbed(model, rng) for _ in range(PLANNED))]
 
     def run(robot: Cell) -> tuple[ArmResponse, PassRecord] | None:
         try:

@@ -76,21 +76,11 @@ def imperfect_course(cell: Cell, reference: Trajectory, number: int, target: Tra
 
 
 def imperfect_arm(cell: Cell, reference: Trajectory, model: ArmModel | None = None) -> ArmModel:
-    """Return the arm of a plant that follows ``reference``: its model, with backlash and what was learned beside it."""
+    """Return the arm of a plant that follows ``reference``: its model, with the backlash of its joints."""
     model, width = model or arm_model_of(cell, reference), cell.imperfections.backlash
-    model = dataclasses.replace(model, rest=learned_rest(cell))
     if not width.any():
         return model
     return dataclasses.replace(model, gaps=joint_gaps(arm_of(cell), path_of(cell), reference, width))
-
-
-def learned_rest(cell: Cell) -> Trajectory | None:
-    """Return the displacement of the tool that no robot explains; None where another path, or no part, was measured."""
-    target, rows = path_of(cell).target, cell.uncertainty.learned_rest.reshape(-1, 4)
-    distance = knot_distances(path_of(cell))
-    if not len(rows) or abs(rows[-1, 0] - distance[-1]) > 1e-6:  # the last row is the end of the measured path
-        return None
-    return target.with_position(np.column_stack([np.interp(distance, rows[:, 0], axis) for axis in rows.T[1:]]))
 
 
 def joint_gaps(arm: PlacedArm, path: CellPath, reference: Trajectory, width: np.ndarray, periods: int = 1) -> Gaps:
@@ -120,13 +110,6 @@ def joint_gaps(arm: PlacedArm, path: CellPath, reference: Trajectory, width: np.
         share=1.0 - float(np.exp(-periods * clock.period * path.tool.spindle_speed / (2.0 * np.pi))),
         steps_per_knot=every / periods,
     )
-
-
-def knot_distances(path: CellPath) -> np.ndarray:
-    """Distance along the path [m] of each knot of its target, (k,)."""
-    if path.timed is None:
-        return np.linalg.norm(path.target.position - path.target.position[0], axis=1)
-    return path.timed.distance_at(path.target.time_ns)
 
 
 class Numbers:

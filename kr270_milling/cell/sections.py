@@ -516,20 +516,11 @@ class Uncertainty(Record):
     learned_directions: np.ndarray = parameter(
         [], low=-1.0, high=1.0, text="D of the covariance I - D^T D of these numbers, row after row"
     )
-    learned_rest: np.ndarray = parameter(
-        [],
-        low=-1e3,
-        high=1e6,
-        text="displacement of the tool that no plant explains: distance along the path, x, y, z [m], row after row",
-    )
 
     def check(self) -> None:
         if self.learned_directions.size % max(1, self.learned.size) or not (self.learned.size or not self.learned_from):
             allowed = "empty, or rows with as many numbers as uncertainty.learned, which learned_from belongs to"
             raise ParameterError("learned_directions", self.learned_directions.size, allowed)
-        if self.learned_rest.size % 4 or np.any(np.diff(self.learned_rest[::4]) <= 0.0):
-            allowed = "empty, or rows of four numbers with increasing distances"
-            raise ParameterError("learned_rest", self.learned_rest.size, allowed)
         if self.least_backlash > self.backlash:
             raise ParameterError("least_backlash", self.least_backlash, "at most uncertainty.backlash")
         if self.joint_compliances.size not in (0, 6):

@@ -90,7 +90,6 @@ class ArmModel:
     steps_per_knot: float  #: exchange periods from one posture to the next
     approach: np.ndarray | None = None  #: r' before the pass [m/s, rad/s], (6,); None: the first of the reference
     gaps: Gaps = NO_GAPS  #: backlash of the joints, whose displacement joins the deflection
-    rest: Trajectory | None = None  #: displacement of the tool beside all that the arm does [m]; None: none
 
     @property
     def arrays(self) -> tuple:

@@ -250,8 +250,6 @@ def run_pass(
         ahead = stamps if begin == 0 else np.append(clock.stamp(np.array([begin - 1])), stamps)
         without = np.zeros(ahead.size, bool) if silent is None else silent_periods(silent(ahead))
         arm = (model.push(reference, stamps, begin, positions), model.arrays)
-        if model.rest is not None:
-            positions += model.rest.sample(stamps)
         carried = (
             iterations,
             poses,
@@ -277,7 +275,7 @@ def run_pass(
                 progress(last, n)
         wall += time.perf_counter() - start
         tool = out[0]
-        programmed = positions if reference is target and model.rest is None else target.sample(stamps)
+        programmed = positions if reference is target else target.sample(stamps)
         rows = _combined(every, int(begin > 0), (stamps, programmed, positions, tool[:, :3], *out[1:]))
         for values, new in zip(series.values(), rows, strict=True):
             values[filled : filled + len(new)] = new

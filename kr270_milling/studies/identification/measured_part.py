@@ -14,14 +14,6 @@ measured errors, with the covariance R of measurement, repeatability and model.
     z' = m + K (e - b),   P' = P - K J P,   K = P J^T (J P J^T + R + W)^-1
 
 3. Robots are drawn again, from N(z', P'), with J of the first round as their expectation; the update starts at N(m, P).
-
-4. What no numbers explain, as the error of the force law, stays in the next part near the places: the mirror technique
-   of the paper, with the physics as prior. Robots from N(z', P') have deviations d of the tool along the path, and
-   errors f of mean f_m. The mean of d changes by that of an ensemble Kalman update [Evensen2009]:
-
-    rest = C_df (C_ff + R)^-1 (e - f_m)
-
-   A triangle of two periods of the slowest mode smooths the rest: a vibration depends on the correction that is run.
 """
 
 from __future__ import annotations
@@ -30,14 +22,11 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.ndimage import uniform_filter1d
-from scipy.spatial import cKDTree
 
 from kr270_milling.base.column import column, counted
 from kr270_milling.base.errors import InputError
 from kr270_milling.cell.cell import Cell
-from kr270_milling.cell.models import modal_model_of, path_of
-from kr270_milling.cell.plant import coarser, knot_distances, learned_rest, numbers_of, perturbed, robot_of
+from kr270_milling.cell.plant import coarser, numbers_of, perturbed, robot_of
 from kr270_milling.path.trajectory import Trajectory
 from kr270_milling.studies.identification.wall import PredictedPlaces, WallPlaces, read_wall, robot_errors
 
@@ -58,8 +47,6 @@ READINGS = {
 RANGE = (-3.0, 3.0)  #: range of the numbers behind a robot, which has 99.7 % of them
 #: robots of each round, and the weight of what is expected of the slopes, in robots: at first that there are none
 ROUNDS = ((64, 1.0), (48, 20.0))
-LAST = 32  #: robots that show the rest
-REACH = 20e-3  #: [m] from the edge of the tool to a place, beyond which the place does not show the rest
 SAMPLES, SAMPLE_SEED = 200, 1_000_002  #: robots that show an unknown before and after; no seed of a verdict
 
 
@@ -117,11 +104,11 @@ def learn(
     measured = np.concatenate([part.error for part, *_ in parts])
     count = numbers_of(model)
     mean, spread = _state(cell, count)
-    total, passes_run = sum(robots for robots, _ in ROUNDS) + LAST, 0
+    total, passes_run = sum(robots for robots, _ in ROUNDS), 0
     same: dict[Cell, np.ndarray] = {}  # errors of robots that cut alike
 
-    def run(numbers: np.ndarray, deviations: bool = False) -> np.ndarray:
-        """Errors (k, places) of robots behind numbers (k, n), with deviations as ``robot_errors``."""
+    def run(numbers: np.ndarray) -> np.ndarray:
+        """Errors (k, places) of robots behind numbers (k, n)."""
         nonlocal passes_run
         robots = [robot_of(model, row) for row in numbers]
         robots = [
@@ -130,7 +117,7 @@ def learn(
         ]
         new = list(dict.fromkeys(robot for robot in robots if robot not in same))
         runs = [(reference, at) for (_, reference, _), at in zip(parts, places, strict=True)]
-        for robot, row in zip(new, robot_errors(new, model, runs, deviations), strict=True):
+        for robot, row in zip(new, robot_errors(new, model, runs), strict=True):
             same[robot] = row
             progress(passes_run := min(passes_run + 1, total), total)
         return np.array([same[robot] for robot in robots])
@@ -155,24 +142,12 @@ def learn(
         part = np.ix_(agreeing, agreeing)
         some, rest, error = slopes[agreeing], (measured - offset)[agreeing], (noise + jumps)[part]
         shares = np.linalg.solve(some @ some.T + error, np.column_stack([rest, error]))  # of the rest and of its errors
-        # larger than stated [Birge1932]
-        grown = max(1.0, float(shares[:, 0] @ error @ shares[:, 0] / np.trace(shares[:, 1:])))
-        u, left = gaussian_update(np.zeros(count), np.eye(count), some, rest, grown * error)
-    size, axes = np.linalg.eigh(left)
-    drawn = u + (rng.standard_normal((LAST, count)) * np.sqrt(np.maximum(size, 0.0))) @ axes.T
-    same.clear()
-    rows = run(np.clip(mean + drawn @ root.T, *RANGE), deviations=True)
-    rows = rows[np.isfinite(rows).all(axis=1)]
-    distance, shown = _rest(model, parts, measured, rows, grown * noise, agreeing)
+        grown = shares[:, 0] @ error @ shares[:, 0] / np.trace(shares[:, 1:])  # larger than stated [Birge1932]
+        u, left = gaussian_update(np.zeros(count), np.eye(count), some, rest, max(1.0, float(grown)) * error)
     z, left = np.clip(mean + root @ u, *RANGE), root @ left @ root.T
     sources = (*assumed.learned_from, *(source for *_, source in parts))
     after = cell.replace(
-        uncertainty=assumed.replace(
-            learned_from=sources,
-            learned=z,
-            learned_directions=_directions(left).ravel(),
-            learned_rest=np.column_stack([distance, shown]).ravel(),
-        )
+        uncertainty=assumed.replace(learned_from=sources, learned=z, learned_directions=_directions(left).ravel())
     )
     progress(total, total)
     return Learned(
@@ -182,28 +157,6 @@ def learn(
         float(np.sqrt(np.mean((rest - some @ u) ** 2))),
         float(np.sqrt(np.mean(np.diag(error)))),
     )
-
-
-def _rest(model: Cell, parts, measured, rows, noise, agreeing) -> tuple[np.ndarray, np.ndarray]:
-    """Distances along the path [m], (k,), and displacements there that the places show beside the robots [m], (k, 3).
-
-    rows (N, places and 3 knots): errors and deviations of robots. With a rest of earlier parts, which the robots have.
-    """
-    path, known = path_of(model), learned_rest(model)
-    change, wrong = rows - rows.mean(axis=0), measured - rows.mean(axis=0)[: measured.size]
-    errors, moved = change[:, : measured.size][:, agreeing], change[:, measured.size :]
-    spread = errors.T @ errors + (len(rows) - 1.0) * noise[np.ix_(agreeing, agreeing)]
-    weights = errors @ np.linalg.solve(spread, wrong[agreeing])
-    shown = (weights @ moved).reshape(-1, 3)
-    slowest = float(modal_model_of(model).frequency.min())  # [rad/s]
-    width = max(1, round(2.0 * np.pi / (slowest * path.timing.controller_step)))  # knots of a period
-    for _ in range(2):
-        shown = uniform_filter1d(shown, width, axis=0, mode="nearest")
-    places = np.concatenate([part.place for part, *_ in parts])
-    apart = cKDTree(places).query(path.target.position[:, :2])[0] - model.tool.radius
-    shown *= np.clip(1.0 - apart / REACH, 0.0, 1.0)[:, None]
-    distance, first = np.unique(knot_distances(path), return_index=True)
-    return distance, (shown if known is None else shown + known.position)[first]
 
 
 def linear_map(
@@ -426,6 +379,5 @@ def learned_keys(cell: Cell) -> dict:
             "learned_from": list(assumed.learned_from),
             "learned": assumed.learned,
             "learned_directions": assumed.learned_directions,
-            "learned_rest": assumed.learned_rest,
         }
     }

@@ -14,7 +14,7 @@ from kr270_milling.base.column import counted
 from kr270_milling.base.errors import InputError, MillingError
 from kr270_milling.base.table import read_table
 from kr270_milling.cell.cell import Cell
-from kr270_milling.cell.jobs import at_once, pass_record
+from kr270_milling.cell.jobs import at_once
 from kr270_milling.cell.models import path_of
 from kr270_milling.cell.plant import Plant, coarser, perturbed
 from kr270_milling.decide.part.surface import ideal_part, neighbours, remaining_walls, stations_of, tooth_tips
@@ -155,8 +155,7 @@ def compare_wall(
 
     Raises InputError as ``PredictedPlaces`` does.
     """
-    places = PredictedPlaces(cell, measured)
-    predicted = places.errors(_run(cell, cell, reference, places))
+    predicted = _errors(cell, cell, reference, PredictedPlaces(cell, measured))
     nominal, rng = coarser(cell), np.random.default_rng(1)
     drawn, places = [perturbed(nominal, rng) for _ in range(plants)], PredictedPlaces(nominal, measured)
     rows: list[np.ndarray] = []
@@ -170,36 +169,24 @@ def compare_wall(
 
 
 def robot_errors(
-    robots: Iterable[Cell],
-    cell: Cell,
-    parts: Sequence[tuple[Trajectory | None, PredictedPlaces]],
-    deviations: bool = False,
+    robots: Iterable[Cell], cell: Cell, parts: Sequence[tuple[Trajectory | None, PredictedPlaces]]
 ) -> Iterator[np.ndarray]:
     """Errors [m], (n,), that each robot leaves at places of the parts of a cell; NaN for a robot that fails.
 
-    parts: the reference that was run, None: the target, and the places of each part. deviations: a row ends
-    with those [m] of its tool in the last part at the knots of the target, (3 k,), each the mean over a revolution.
+    parts: the reference that was run, None: the target, and the places of each part.
     """
-
-    target = path_of(cell).target
 
     def errors(robot: Cell) -> np.ndarray:
         try:
-            passes = [_run(robot, cell, reference, places) for reference, places in parts]
+            return np.concatenate([_errors(robot, cell, reference, places) for reference, places in parts])
         except MillingError:
-            return np.full(sum(places.normal.shape[0] for _, places in parts) + 3 * len(target) * deviations, np.nan)
-        rows = [places.errors(result) for result, (_, places) in zip(passes, parts, strict=True)]
-        if deviations:
-            last = passes[-1]
-            record = pass_record(path_of(cell), robot.imperfections, last.time_ns, last.actual, last.wrench)
-            rows.append(record.sampled_displacement(target, target.time_ns).ravel())
-        return np.concatenate(rows)
+            return np.full(sum(places.normal.shape[0] for _, places in parts), np.nan)
 
     with ThreadPoolExecutor(at_once(path_of(cell))) as pool:
         yield from pool.map(errors, robots)
 
 
-def _run(robot: Cell, cell: Cell, reference: Trajectory | None, places: PredictedPlaces) -> PassResult:
-    """Run the pass in which a robot cuts the part of a cell; raises MillingError where it fails."""
+def _errors(robot: Cell, cell: Cell, reference: Trajectory | None, places: PredictedPlaces) -> np.ndarray:
+    """Errors [m], (n,), that a robot leaves at places of the part of a cell; raises MillingError where it fails."""
     reference = path_of(cell).target if reference is None else reference
-    return Plant(cell, robot).run(reference, heights=bool(places.measured.floor.any()))
+    return places.errors(Plant(cell, robot).run(reference, heights=bool(places.measured.floor.any())))
