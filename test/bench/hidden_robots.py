@@ -80,7 +80,7 @@ def parts_of(cell: Cell, robot: Cell, first: Trajectory, parts: int, rng: np.ran
     at = PredictedPlaces(model, places)
     errors, inside, reference, measured = [], [], first, []
     errors += [float(run_sample(robot, target, (run,), gauge)[0, 0]) for run in (target, first)]  # of the same shift
-    for _ in range(parts):
+    for number in range(1, parts + 1):
         (true,) = robot_errors([robot], model, [(reference, at)])
         measured.append(
             (dataclasses.replace(places, error=true + SIGMA * rng.normal(size=true.size)), reference, "part")
@@ -89,6 +89,7 @@ def parts_of(cell: Cell, robot: Cell, first: Trajectory, parts: int, rng: np.ran
         reference = plan(learned, reference)
         drawn = [perturbed(coarser(learned), rng) for _ in range(DRAWN)]
         rows = np.array(list(robot_errors(drawn, model, [(reference, at)])))
+        robot = robot.replace(imperfections=robot.imperfections.replace(first_pass=number))  # another shift
         (true,) = robot_errors([robot], model, [(reference, at)])
         noise = np.hypot(SIGMA, MODEL_ERROR) * rng.normal(size=rows.shape)
         noise += MODEL_SHARE * rng.normal(size=(len(rows), len(rows))) @ rows / np.sqrt(len(rows))

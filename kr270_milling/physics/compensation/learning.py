@@ -408,7 +408,9 @@ class Learner:
         careful = 1.0
         # most passes of the simulated robots; the cut answers the correction, so the first one is not the last
         rounds = 4 if self.target.duration_ns < LONG else 2
-        worth = 0.98  # of the mean cost: a pass that gains less is the last
+        # of the least mean cost: a reference that costs more is the last. Robots that swing by themselves change the
+        # mean cost by 5 % with the last bit of the reference, so a smaller difference must not choose among the rounds
+        alike = 1.05
         for number in range(rounds):
             reference, _ = corrected(self.target, tried, smooth)
             passes = [
@@ -425,9 +427,9 @@ class Learner:
                 usual, count = float(np.median(largest)), len(drawn)
             beyond = np.maximum(largest / max(usual, 1e-300), 1.0)
             size = float(np.mean(np.minimum(largest, usual) + usual * np.log(beyond)))
-            if len(drawn) != count or size > worth * best:
+            if len(drawn) != count or size > alike * best:
                 break
-            best, offset = size, tried
+            best, offset = min(best, size), tried
             self.ensemble, self._ran = drawn, cubic
             if number + 1 == rounds:
                 break
