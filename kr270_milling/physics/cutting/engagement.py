@@ -50,7 +50,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from kr270_milling.physics.cutting.compiled import inlined, inner
+from kr270_milling.physics.cutting.compiled import inlined
 from kr270_milling.physics.cutting.fill import any_above
 from kr270_milling.physics.cutting.force_law import call_law
 from kr270_milling.physics.cutting.grid import MAX_TILES, TILE, Stock, tile_count
@@ -434,7 +434,7 @@ def _cut_before(s, level):
     return (s.floors[known - 1, 0], s.floors[known - 1, 1]) if known > 0 else (FAR, FAR)
 
 
-@inner
+@inlined
 def _clear(s, p, x0, y0, x1, y1, level, sinking, to_middle, ahead_x, ahead_y):
     """Lower the footprint at (x1, y1) to ``level``, without the inside of that at (x0, y0), which is cut.
 
