@@ -103,6 +103,7 @@ def _inverse_depths(
     feed_per_tooth: float,
     angle: np.ndarray,
     weight: np.ndarray,
+    basis: np.ndarray,
     speed: float,
 ) -> Callable:
     """Return the function of frequencies [rad/s] (m,) that yields the 1/a there [1/m], (m, k); 0 for small ones."""
@@ -128,10 +129,6 @@ def _inverse_depths(
     # G has a kink at t = 0, where the rate of g jumps by 1: the rule is wrong by the square of the step / 12
     kink = np.where(within < 1e-6 * delay, gain.sum(0) * step / 12.0, 0.0)
 
-    # the vibrations are smooth: a few polynomials on the arc make a smaller matrix of the same largest eigenvalues
-    span = (2.0 * angle - angle[0] - angle[-1]) / (angle[-1] - angle[0])
-    degree = math.ceil(3.6 * count / NODES) + 6  # for each wave, pi at least; 4.5 give limits that differ by 3e-5
-    basis = np.linalg.qr(np.sqrt(weight)[:, None] * np.polynomial.legendre.legvander(span, degree))[0]
     shifts, shift = np.unique(turns, return_inverse=True)
     parts = np.concatenate([kernel, kernel.conj(), kink[None]])
     parts = parts[:, None] * (shift.reshape(count, count) == np.arange(shifts.size)[:, None, None])
@@ -152,10 +149,12 @@ def _inverse_depths(
     return at
 
 
-def _nodes(entry: float, leave: float, pitch: float, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Angles and weights of some ``count`` nodes, by Gauss' rule between places that a pitch repeats.
+@functools.lru_cache(64)
+def _nodes(entry: float, leave: float, pitch: float, count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Angles and weights of some ``count`` nodes, by Gauss' rule between places that a pitch repeats, and a basis.
 
-    Where a tooth is at a node, the others in cut are at nodes too, and so are the kinks of G.
+    Where a tooth is at a node, the others in cut are at nodes too, and so are the kinks of G. The vibrations are
+    smooth: a few polynomials on the arc, the basis, make a smaller matrix of the same largest eigenvalues.
     """
     repeats = np.arange(math.ceil((leave - entry) / pitch)) * pitch
     ends = np.unique(np.round(np.concatenate([entry + repeats, leave - repeats]), 9))
@@ -163,7 +162,12 @@ def _nodes(entry: float, leave: float, pitch: float, count: int) -> tuple[np.nda
     rules = [_gauss(max(2, math.ceil(count * part))) for part in lengths / (leave - entry)]
     half = 0.5 * lengths
     angles = [start + size * (1.0 + rule[0]) for start, size, rule in zip(ends[:-1], half, rules, strict=True)]
-    return np.concatenate(angles), np.concatenate([size * rule[1] for size, rule in zip(half, rules, strict=True)])
+    angle = np.concatenate(angles)
+    weight = np.concatenate([size * rule[1] for size, rule in zip(half, rules, strict=True)])
+    span = (2.0 * angle - angle[0] - angle[-1]) / (angle[-1] - angle[0])
+    degree = math.ceil(3.6 * angle.size / NODES) + 6  # for each wave, pi at least; 4.5 give limits that differ by 3e-5
+    basis = np.linalg.qr(np.sqrt(weight)[:, None] * np.polynomial.legendre.legvander(span, degree))[0]
+    return angle, weight, basis
 
 
 def _starts(modes: Modes, delay: float) -> np.ndarray:
@@ -223,8 +227,9 @@ def _interval(low: np.ndarray, high: np.ndarray, before: np.ndarray, after: np.n
     are known; a guess of it, (n,), 0: none; the largest known one and its frequency, (n, 2), 0: none.
     """
     apart = np.abs(before[:, :, None] - after[:, None])
-    start = np.concatenate([before, np.take_along_axis(before, apart.argmin(1), 1)], 1)
-    end = np.concatenate([np.take_along_axis(after, apart.argmin(2), 1), after], 1)
+    rows = np.arange(low.size)
+    start = np.concatenate([before, before[rows[:, None], apart.argmin(1)]], 1)
+    end = np.concatenate([after[rows[:, None], apart.argmin(2)], after], 1)
     travel, passes = np.abs(end - start), start.imag * end.imag <= 0.0
     near = 0.35  # distance from the real axis, as a share of that to the next eigenvalue, that makes a limit possible
     close = passes | (np.minimum(np.abs(start.imag), np.abs(end.imag)) < near * travel)
@@ -233,7 +238,7 @@ def _interval(low: np.ndarray, high: np.ndarray, before: np.ndarray, after: np.n
     share = start.imag / np.where(start.imag == end.imag, 1.0, start.imag - end.imag)
     on_axis = np.where(passes, start.real + share * (end.real - start.real), 0.0)
     known, guess = np.where(fine, on_axis, 0.0), np.where(fine, 0.0, on_axis)
-    rows, k = np.arange(low.size), known.argmax(1)
+    k = known.argmax(1)
     crossing = np.stack([known[rows, k], low + share[rows, k] * (high - low)], 1)
     reach = np.where(close & ~fine, np.maximum(start.real, end.real) + near * travel, 0.0)
     return reach.max(1), guess.max(1), crossing

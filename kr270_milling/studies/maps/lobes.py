@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
 
 from kr270_milling.cell.paths import CellPath
 from kr270_milling.cell.sections import PathSection
@@ -27,11 +26,10 @@ def lobes(
     """
     refuse_without_limit(path)
     results = []
-    with ThreadPoolExecutor(max_workers=2) as pool:
-        for lobe in pool.map(lambda speed: _lobe_at(path, cutting, modes, speed), speeds):
-            results.append(lobe)
-            if progress is not None:
-                progress(len(results), len(speeds))
+    for speed in speeds:
+        results.append(_lobe_at(path, cutting, modes, speed))
+        if progress is not None:
+            progress(len(results), len(speeds))
     return results
 
 
