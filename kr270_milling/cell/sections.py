@@ -170,7 +170,7 @@ class PathSection(Record):
         if not self.file:
             return 0.0
         read = self.read()
-        return float((read.toolpath if isinstance(read, TimedPath) else read).tilt.max())
+        return (read.toolpath if isinstance(read, TimedPath) else read).cutting_tilt
 
     @property
     def feeds(self) -> tuple[float, float, float]:
