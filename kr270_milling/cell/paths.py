@@ -217,7 +217,7 @@ class StraightCut(_Programmed):
     by_teeth = True  #: each tooth is swept
     fed = None  #: the tool path under the limits of the controller alone
     tilts = False  #: the axis of the tool leaves z of the workpiece while it cuts
-    leans = False  #: it does so in any move
+    lean = 0.0
     drills = False  #: the program has a drilling cycle
     mills = True  #: the program cuts in more than drilling cycles
 
@@ -338,9 +338,10 @@ class ProgramPath(_Programmed):
         return self.path.tilt > UPRIGHT
 
     @property
-    def leans(self) -> bool:
-        """Return whether the axis of the tool leaves z of the workpiece by more than ``UPRIGHT`` in any move."""
-        return bool((self.fed.toolpath.tilt > UPRIGHT).any())
+    def lean(self) -> float:
+        """Return the largest angle between the tool and z of the workpiece in any move [rad], 0 up to ``UPRIGHT``."""
+        lean = float(self.fed.toolpath.tilt.max())
+        return lean if lean > UPRIGHT else 0.0
 
     @property
     def drills(self) -> bool:

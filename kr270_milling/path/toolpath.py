@@ -107,7 +107,7 @@ class Toolpath:
 
     @property
     def ways(self) -> np.ndarray:
-        """Return the way of the tool in each block [m], (n,): its length, or LEVER times its turn where that is more."""
+        """Return the way of the tool in each block [m], (n,): its length, at least LEVER times its turn."""
         ways = self.block_length
         if np.any(self.quaternion != self.quaternion[0]):
             ways[1:] = np.maximum(ways[1:], LEVER * turned(self.quaternion[:-1], self.quaternion[1:]))
