@@ -14,10 +14,10 @@ import numpy as np
 import pytest
 from hostile import POSTURE, settings
 
-from kr270_milling.base.errors import ConfigError
+from kr270_milling.base.errors import ConfigError, ParameterError
 from kr270_milling.base.record import parameter
 from kr270_milling.physics.cutting.force_law import ForceLaw
-from kr270_milling.physics.cutting.laws import FractionalLaw
+from kr270_milling.physics.cutting.laws import Cutting, FractionalLaw, LinearEdgeLaw
 
 ROOT = Path(__file__).resolve().parents[1]
 GUIDE = [ROOT / "kr270_milling/guide/contributing" / page for page in ("extending.md", "cam_language.md")]
@@ -231,7 +231,7 @@ MINE = """
 from dataclasses import dataclass
 from kr270_milling.base.record import parameter
 from kr270_milling.physics.cutting.force_law import ForceLaw
-from kr270_milling.physics.cutting.laws import FractionalLaw
+from kr270_milling.physics.cutting.laws import Cutting, FractionalLaw, LinearEdgeLaw
 class Other:
     name = "other"
     def revise(self, task): ...
@@ -286,6 +286,22 @@ def test_a_force_that_raises_is_a_fault_and_one_that_cannot_be_compiled_is_refus
         assert law.fault().startswith(fault) and bool(law.fault()) == bool(fault)
     with pytest.raises(ConfigError, match="force law Mine: force: cannot be compiled .No conversion from UniTuple"):
         law.address()
+
+
+@pytest.mark.parametrize(("force", "sentence"), [
+    (lambda h, k: (-k * h, 0.0, 0.0), "F_t, F_r, F_a are -0.01, 0, 0 N/mm at a chip of 0.01 um"),
+    (lambda h, k: (k * h * (1.0 - h / 0.9e-3), 0.0, 0.0), "N/mm at a chip of 1e+03 um"),
+    (lambda h, k: (k, math.inf, 0.0), "F_t, F_r, F_a are 1e+06, inf, 0 N/mm"),
+    (lambda h, k: (k / (h - h), 0.0, 0.0), "float division by zero at a chip of 0.01 um"),
+])  # fmt: skip
+def test_a_law_whose_tangential_force_is_negative_or_not_finite_is_refused_in_one_sentence(force, sentence):
+    fields = [("slope", float, parameter(1e9, unit="n_per_mm2", text="slope"))]
+    law = make_dataclass("Mine", fields, bases=(LinearEdgeLaw,), namespace={"force": staticmethod(force)}, frozen=True,
+                         eq=False)  # fmt: skip
+    law.arguments = property(lambda self: np.array([self.slope]))
+    with pytest.raises(ParameterError, match="law is 'linear_edge'") as caught:
+        Cutting(law="linear_edge", linear_edge=law(1.0, 1.0, 1.0, 1.0))
+    assert sentence in str(caught.value)
 
 
 def test_a_force_law_without_a_force_or_with_an_unknown_unit_has_a_fault():

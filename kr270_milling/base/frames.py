@@ -80,6 +80,11 @@ def tool_axis(quaternion: np.ndarray) -> np.ndarray:
     return -rotation_from_quaternion(quaternion)[..., 2]
 
 
+def lifted(position: np.ndarray, axis: np.ndarray, height: float) -> np.ndarray:
+    """Return the place of a tool that goes up along its axis to a height [m], (3,); one above the height stays."""
+    return position + axis * (max(height - position[2], 0.0) / axis[2])
+
+
 def quaternion_from_rotation(rotation: np.ndarray) -> np.ndarray:
     """Return quaternions x, y, z, w with w >= 0, (..., 4), of rotation matrices (..., 3, 3)."""
     r = np.asarray(rotation, float)

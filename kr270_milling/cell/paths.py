@@ -79,7 +79,7 @@ def check_path(file: str, timed: TimedPath, tool: Tool, stock: Stock, by_teeth: 
     path = timed.toolpath
     check_moves(file, path, by_teeth)
     wrong = _other_spindle(path, tool)
-    if not wrong and not (path.tilt > UPRIGHT).any():  # the side of a leaning tool cuts beside its tip
+    if not wrong and not path.cutting_tilt > UPRIGHT:  # the side of a leaning tool cuts beside its tip
         wrong = _beside_stock(timed, tool, stock)
     if wrong:
         reason, block = wrong
@@ -121,14 +121,18 @@ def _other_spindle(path: Toolpath, tool: Tool) -> tuple[str, int] | None:
 
 
 def _tilted(path: Toolpath, by_teeth: bool) -> tuple[str, int] | None:
-    """Return the reason and the block where the tool tilts by more than the model of the cut supports."""
+    """Return the reason and the block where the tool tilts by more than the models of the cut and contacts support."""
     # assumed: beyond 75 deg the side of the tool hides most of the material from the height map
-    most = BY_TEETH if by_teeth else math.radians(75.0)
-    if not (path.tilt > most).any():
+    cutting, moving = BY_TEETH if by_teeth else math.radians(75.0), math.radians(89.0)
+    over = path.tilt > np.where(path.rapid, moving, cutting)
+    if not over.any():
         return None
-    block = int(np.argmax(path.tilt > most))
-    model = "cutting.detail: teeth is the cut" if by_teeth else "the height map of cutting.detail: engagement is that"
-    advice = "; cutting.detail: engagement cuts with a tilted axis" if by_teeth else ""
+    block = int(np.argmax(over))
+    model, most, advice = "the height map of cutting.detail: engagement is that", cutting, ""
+    if path.rapid[block]:
+        model, most = "rapid moves are compared with the height map", moving
+    elif by_teeth:
+        model, advice = "cutting.detail: teeth is the cut", "; cutting.detail: engagement cuts with a tilted axis"
     reason = (
         f"point {block + 1} of the path: the tool is tilted by {np.degrees(path.tilt[block]):.4g} deg, but {model} "
         f"of a tool along z of the workpiece (within {np.degrees(most):g} deg){advice}"
@@ -213,6 +217,7 @@ class StraightCut(_Programmed):
     by_teeth = True  #: each tooth is swept
     fed = None  #: the tool path under the limits of the controller alone
     tilts = False  #: the axis of the tool leaves z of the workpiece while it cuts
+    lean = 0.0
     drills = False  #: the program has a drilling cycle
     mills = True  #: the program cuts in more than drilling cycles
 
@@ -331,6 +336,12 @@ class ProgramPath(_Programmed):
     def tilts(self) -> bool:
         """Return whether the axis of the tool leaves z of the workpiece by more than ``UPRIGHT`` while it cuts."""
         return self.path.tilt > UPRIGHT
+
+    @property
+    def lean(self) -> float:
+        """Return the largest angle between the tool and z of the workpiece in any move [rad], 0 up to ``UPRIGHT``."""
+        lean = float(self.fed.toolpath.tilt.max())
+        return lean if lean > UPRIGHT else 0.0
 
     @property
     def drills(self) -> bool:

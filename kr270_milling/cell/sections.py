@@ -170,7 +170,7 @@ class PathSection(Record):
         if not self.file:
             return 0.0
         read = self.read()
-        return float((read.toolpath if isinstance(read, TimedPath) else read).tilt.max())
+        return (read.toolpath if isinstance(read, TimedPath) else read).cutting_tilt
 
     @property
     def feeds(self) -> tuple[float, float, float]:
@@ -277,8 +277,13 @@ class Limits(Record):
     blending_share: float = parameter(
         0.5, above=0.0, high=10.0, text="share of the correction that the blending of LIN motions may round off"
     )
+    # 0.5 mm: nodes of the height map of a tool of 50 mm; deeper, a tooth takes chips that break it at the rapid feed
     rapid_contact: float = parameter(
-        20e-6, unit="um", low=0.0, high=1e4, text="deepest and widest contact of a programmed rapid move with material"
+        20e-6,
+        unit="um",
+        low=0.0,
+        high=500.0,
+        text="deepest and widest contact of a programmed rapid move with material",
     )
     below_stock: float = parameter(
         0.0, unit="mm", low=0.0, high=1e3, text="how far the tool may go below the stock, into a sacrificial plate"

@@ -63,7 +63,7 @@ def places_apart(radius: float) -> float:
 
 def removal_along(name: str, tool: Tool, path: Toolpath) -> Removal:
     """Return what a tool removes on its programmed path."""
-    tilt = float(path.tilt.max())
+    tilt = path.cutting_tilt
     if tilt > UPRIGHT:
         reason = f"tool {name} is tilted by {math.degrees(tilt):.4g} deg, but several tools must be upright"
         raise MillingError(f"{reason}: split the program at the change of the tool")

@@ -250,7 +250,7 @@ def _obstacles(workpiece: Workpiece, stock: Stock) -> list[tuple[str, tuple[np.n
 def _nearest(start: np.ndarray, end: np.ndarray, distance: Callable[..., np.ndarray], *body: np.ndarray) -> np.ndarray:
     """Return the least distance(points, *body) [m] of segments from start to end (n, 3) from a convex body, (n,)."""
     low, high = np.zeros((len(start), 1)), np.ones((len(start), 1))
-    for _ in range(12):  # (2/3)^12: 1 % of the length, whose error in the distance is of second order
+    for _ in range(20):  # (2/3)^20: 0.03 % of the length, of first order where the segment meets an edge
         first, second = low + (high - low) / 3.0, high - (high - low) / 3.0
         near, far = (distance(start + share * (end - start), *body)[:, None] for share in (first, second))
         nearer = near < far

@@ -12,13 +12,15 @@ from scipy.ndimage import maximum_filter
 from scipy.spatial import cKDTree
 
 from kr270_milling.base.column import column
-from kr270_milling.base.frames import tool_axis
+from kr270_milling.base.frames import lifted, tool_axis
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import ScoredPass
-from kr270_milling.cell.models import cut_of, path_of
+from kr270_milling.cell.models import path_of
+from kr270_milling.cell.stage import cleared
 from kr270_milling.decide.findings import Finding, stretches, violation, violations
 from kr270_milling.decide.height_map import ROUNDING, height_map, lower, lower_along, near_axis, on_map, with_profile
 from kr270_milling.path.trajectory import Trajectory
+from kr270_milling.physics.cutting import EngagementCut, Stock
 from kr270_milling.physics.cutting.contact import below_top, bodies_of, contact, lowest_point
 from kr270_milling.physics.cutting.engagement import RIM
 from kr270_milling.physics.cutting.profile import cutter_of, cylinder, outline
@@ -82,9 +84,7 @@ def engagement(cell: Cell, margin: float, ran: ScoredPass | None = None) -> Enga
     down again along its cut, the deflection of the arm at this moment is no contact either: it is in its hole, and
     inertia may bend the arm by more than the cut did.
     """
-    position, axes, time, block, step = _places(cell)
-    timed = path_of(cell).timed
-    rapid = np.zeros(len(block), bool) if timed is None else timed.toolpath.rapid[block]
+    position, axes, time, block, rapid, step = _places(cell)
     series = np.where(rapid, np.cumsum(np.diff(rapid, prepend=False) & rapid), 0)
     depth, inner, volume, sunk, shank, holder = met = np.zeros((6, len(position)))
     radius = float(cell.tool.radii.max())
@@ -99,7 +99,7 @@ def engagement(cell: Cell, margin: float, ran: ScoredPass | None = None) -> Enga
         sideways, lengthwise = np.where(leaves | again, across, 0.0), np.where(leaves, along, 0.0)
     core = core_radius(radius) if ran is None and not cell.tool.centre_cutting else 0.0
     bodies = bodies_of(cell.tool) if ran is None else []
-    if path_of(cell).tilts:
+    if path_of(cell).lean:
         lowest = lowest + lowest_point(outline(cell.tool), axes)
         for _, body in bodies:
             lowest = np.minimum(lowest, position[:, 2] + lowest_point(body[:1, 2:4], axes))
@@ -147,6 +147,11 @@ def _near_rapid(position: np.ndarray, rapid: np.ndarray, top: float, reach: floa
     return maximum_filter(near, 3)[tuple(square.T)] | rapid
 
 
+def _coarse(cell: Cell) -> Stock:
+    """The stock on the grid of the map that a leaning tool is compared with."""
+    return cell.stock.for_engagement(float(cell.tool.radii.max()))
+
+
 def _split(vectors: np.ndarray, axes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the size of vectors (m, 3) across unit axes, and their part along the axes, (m,)."""
     along = np.einsum("ij,ij->i", vectors, axes)
@@ -168,7 +173,11 @@ def _meet_tilted(
     before the tool cuts it, shank and holder with what the tool leaves; at corners and at every eighth place.
     """
     depth, inner, volume, sunk, shank, holder = met
-    cut, tool, top = cut_of(cell, rigid=True), cell.tool, float(cell.stock.max[2])
+    tool, top, stock = cell.tool, float(cell.stock.max[2]), _coarse(cell)
+    # a map for any axis of the tool, whether its teeth are swept, or lean in rapid moves alone
+    cut = EngagementCut(tool, cell.cutting, stock, cell.exchange.micro_step, tilts=True)
+    if cell.earlier:
+        cut.continue_from(cleared(cell.earlier, stock, False))
     cutter, position, axes = cutter_of(tool), poses[:, :3], poses[:, 3:]
     if core:
         bodies = [("core", cylinder(core, 0.0)), *bodies]
@@ -220,7 +229,7 @@ def _meet_above(cell: Cell, poses: np.ndarray, rapid: np.ndarray, margin: np.nda
     A place of the tool in the box of the stock is in material where no earlier pose of the cut covered the place. A
     move along the axis meets nothing there. Poses are compared at a tenth of the radius, with a cusp of R/800.
     """
-    points, stock = outline(cell.tool), cell.stock
+    points, stock = outline(cell.tool), _coarse(cell)
     radius, (heights, radii) = float(points[-1, 0]), (points[:, 1], points[:, 0])
     move = np.diff(poses[:, :3], axis=0, prepend=poses[:1, :3])
     part = np.floor(np.cumsum(np.linalg.norm(move, axis=1)) / (0.1 * radius))
@@ -262,7 +271,7 @@ def _tilted(cell: Cell, ran: ScoredPass) -> list[Finding]:
     """Report the share of the volume above a leaning tool, and a holder that is not known."""
     results = []
     if not cell.tool.stick_out:
-        results.append(violation("holder unknown", 0.0, 0.0, degrees=math.degrees(cell.path.tilt)))
+        results.append(violation("holder unknown", 0.0, 0.0, degrees=math.degrees(path_of(cell).lean)))
     most = 0.01  # share of the removed volume above which forces are bounds (issue: 1 %)
     share = ran.result.undercut_volume / ran.result.removed_volume
     if share > most:
@@ -340,10 +349,11 @@ def _meet(grid, ahead, path, series, wanted, radii, narrow, bodies, lost, met):
                 met[row, k] = max(met[row, k], below - bodies[n, 1] - highest)
 
 
-def _places(cell: Cell) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, float]:
-    """Tool tips, axes, times and blocks half a node step apart, and the node step [m].
+def _places(cell: Cell) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray, float]:
+    """Tool tips, axes, times, blocks and whether these are rapid, half a node step apart, and the node step [m].
 
-    A tilted tool has a place at each node of the map of its cut.
+    A tilted tool has a place at each node of the map of its cut; its path has approach and retract of the robot program
+    at both ends.
     """
     target, timed = path_of(cell).target, path_of(cell).timed
     radius = float(cell.tool.radii.max())
@@ -359,21 +369,31 @@ def _places(cell: Cell) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray,
         (2.0 * np.pi * length * radius**2 / most_visits) ** (1.0 / 3.0),
         math.sqrt(area / most_nodes),
     )
-    if path_of(cell).tilts:
-        step = 2.0 * cell.stock.grid_step
+    if path_of(cell).lean:
+        step = 2.0 * _coarse(cell).grid_step
     count, upright = 2 + int(2.0 * length / step), np.array([0.0, 0.0, 1.0])
     if timed is None:
         time_ns = np.linspace(0, target.duration_ns, count).astype(np.int64)
         axes = np.broadcast_to(upright, (count, 3))
-        return target.sample(time_ns), axes, time_ns * 1e-9, np.zeros(count, int), step
+        return target.sample(time_ns), axes, time_ns * 1e-9, np.zeros(count, int), np.zeros(count, bool), step
     ends = np.cumsum(timed.toolpath.block_length)
-    distance = np.sort(np.concatenate([np.linspace(0.0, timed.toolpath.length, count), ends[1:]]))  # every corner too
+    ways = np.cumsum(timed.toolpath.ways)  # the tool above the tip moves where it turns
+    count = max(count, 2 + int(2.0 * ways[-1] / step))
+    between = np.interp(np.linspace(0.0, ways[-1], count), ways, ends)
+    distance = np.sort(np.concatenate([between, ends[1:]]))  # every corner too
     block = np.clip(np.searchsorted(ends, distance), 0, len(ends) - 1)  # where two meet, the one that ends
     time = np.interp(distance, timed.distance, target.time)
-    if path_of(cell).tilts:
-        position, _, quaternion = timed.toolpath.on_path(distance)
-        return position, tool_axis(quaternion), time, block, step
-    return timed.toolpath.position_at(distance), np.broadcast_to(upright, (distance.size, 3)), time, block, step
+    rapid = timed.toolpath.rapid[block]
+    if not path_of(cell).lean:
+        position = timed.toolpath.position_at(distance)
+        return position, np.broadcast_to(upright, position.shape), time, block, rapid, step
+    position, _, quaternion = timed.toolpath.on_path(distance)
+    axes, safe = tool_axis(quaternion), cell.stock.max[2] + cell.krl.safe_height
+    rises = [np.linalg.norm(lifted(position[k], axes[k], safe) - position[k]) for k in (0, -1)]
+    up, away = (np.linspace(0.0, way, 2 + int(2.0 * way / step))[1:] for way in rises)
+    lift = np.concatenate([up[::-1], np.zeros(len(position)), away])
+    row = np.clip(np.arange(len(lift)) - len(up), 0, len(position) - 1)
+    return position[row] + lift[:, None] * axes[row], axes[row], time[row], block[row], rapid[row] | (lift > 0.0), step
 
 
 def cut_violations(cell: Cell, run: Trajectory, ran: ScoredPass, programmed: Contacts) -> list[Finding]:
@@ -384,7 +404,7 @@ def cut_violations(cell: Cell, run: Trajectory, ran: ScoredPass, programmed: Con
     """
     if not ran.result.removed_volume > 0.0:
         return [violation("stock missed", 0.0, 0.0, 1)]
-    tilted, (contacts, results) = _tilted(cell, ran) if path_of(cell).tilts else [], programmed
+    tilted, (contacts, results) = _tilted(cell, ran) if path_of(cell).lean else [], programmed
     timed = path_of(cell).timed
     if not contacts and timed is not None and timed.toolpath.rapid.any():
         earlier = cell.stage.earlier if cell.stage else ()

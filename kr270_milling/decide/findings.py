@@ -154,6 +154,8 @@ KINDS = {
         "the robot program comes from home and leaves by a PTP motion {value:.4g} mm {words}, at least {limit:.4g} mm "
         "are wanted",
         "Raise program.safe_height_mm, in mm above the top of the stock.", "warning"),
+    "loose limit": Kind("1", "{key} is {value:.4g}, and its default {limit:.4g} finds more",
+        "Leave the key out, or look at what the default finds before you run the program.", "warning"),
     "slowed": Kind("s",
         "the limits of the joints slow the path down: it takes {value:.4g} s, at the programmed feeds {limit:.4g} s",
         "Check arm.joint_speed_limit_deg_per_s and arm.joint_acceleration_limit_deg_per_s, keep away from "

@@ -9,6 +9,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from kr270_milling.base.frames import TOOL0, Pose, tool_axis
+from kr270_milling.base.record import specs
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.models import arm_of, path_of
 from kr270_milling.decide.findings import Finding, violation
@@ -21,11 +22,18 @@ from kr270_milling.physics.cutting.laws import materials
 MOUNTINGS, OFF_MOUNTING = np.radians([0.0, 30.0, 45.0, 60.0, 90.0]).tolist(), math.radians(5.0)
 SAME_PLACE, SAME_ANGLE = 0.1e-3, 0.01  #: [m], [deg] assumed: rounding and calibration of one frame
 BEHIND = 1e-3  #: [m] that a calibrated tip may be behind the flange: the wrist is there
+#: section -> names of limits that neither arm nor spindle states -> 1: a larger limit finds less, -1: a smaller one
+LOOSER = {
+    "limits": {
+        "wrist_angle": -1, "elbow_angle": -1, "shoulder_distance": -1, "blending_share": 1, "rapid_contact": 1
+    },
+    "exchange": {"stop_correction": 1},
+}  # fmt: skip
 
 
 def input_violations(cell: Cell) -> list[Finding]:
     """Everything that is wrong or unlikely in the parameter file, and between the cell and its program."""
-    of_arm = _unlikely_arm(cell) + _placement(cell) + _posture(cell)
+    of_arm = _unlikely_arm(cell) + _placement(cell) + _posture(cell) + _loose(cell)
     return of_arm + _safe_height(cell) + _material(cell) + _frames(cell) + _program(cell)
 
 
@@ -39,6 +47,19 @@ def _unlikely_arm(cell: Cell) -> list[Finding]:
     if arm.payload and mass > arm.payload:
         findings.append(violation("payload", mass, arm.payload))
     return findings + _mounting(cell)
+
+
+def _loose(cell: Cell) -> list[Finding]:
+    """Limits that find less than their defaults."""
+    findings = []
+    for section, names in LOOSER.items():
+        record = getattr(cell, section)
+        for spec in specs(type(record)):
+            value, default = getattr(record, spec.name), spec.default
+            if names.get(spec.name, 0) * (value - default) > 1e-9 * default:
+                key, value, default = f"{section}.{spec.key}", value / spec.scale, default / spec.scale
+                findings.append(violation("loose limit", value, default, key=key, subject=key))
+    return findings
 
 
 def _mounting(cell: Cell) -> list[Finding]:

@@ -106,6 +106,14 @@ class Toolpath:
         return length
 
     @property
+    def ways(self) -> np.ndarray:
+        """Return the way of the tool in each block [m], (n,): its length, at least LEVER times its turn."""
+        ways = self.block_length
+        if np.any(self.quaternion != self.quaternion[0]):
+            ways[1:] = np.maximum(ways[1:], LEVER * turned(self.quaternion[:-1], self.quaternion[1:]))
+        return ways
+
+    @property
     def plane_length(self) -> np.ndarray:
         """Return the length of each block in the xy plane [m], (n,)."""
         chord = np.hypot(*np.diff(self.position[:, :2], axis=0, prepend=self.position[:1, :2]).T)
@@ -115,9 +123,14 @@ class Toolpath:
 
     @functools.cached_property
     def tilt(self) -> np.ndarray:
-        """Return the angle between the tool and z of the workpiece at each block [rad], (n,); 0 for rapid moves."""
+        """Return the angle between the tool and z of the workpiece at the end of each block [rad], (n,)."""
         axis = tool_axis(self.quaternion)
-        return np.where(self.rapid, 0.0, np.arctan2(np.hypot(axis[:, 0], axis[:, 1]), axis[:, 2]))
+        return np.arctan2(np.hypot(axis[:, 0], axis[:, 1]), axis[:, 2])
+
+    @property
+    def cutting_tilt(self) -> float:
+        """Return the largest ``tilt`` of a cutting move [rad]."""
+        return float(self.tilt[~self.rapid].max(initial=0.0))
 
     @property
     def length(self) -> float:

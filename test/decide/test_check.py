@@ -282,6 +282,8 @@ CASES = (
     warning("a clamp above approach and retract", "safe height", f"{FIXTURE}=[90,90,-9,99,99,80]", value=30.0,
             words="below the top of fixture 1"),
     warning("an approach in metres", "safe height", "program.safe_height_mm=0.05", value=0.05, limit=5.0),
+    warning("a wrist that may be stretched", "loose limit", "limits.wrist_angle_deg=1", value=1, limit=3),
+    warning("rapid moves that may touch", "loose limit", "limits.rapid_contact_um=300", value=300, limit=20),
     warning("slow joints", "slowed", "arm.joint_speed_limit_deg_per_s=[1,1,1,1,1,1]"),
     warning("a spindle at 15 deg", "spindle direction", "mount.abc_deg=[0, -15, 180]", words="75 deg away"),
     Case("a program for a cutter of 10 mm", "tool diameter", "", comment("D=10 flat end mill"), lines=(3,)),

@@ -23,7 +23,7 @@ from scipy.spatial.transform import Rotation
 from kr270_milling.base.blocks import blocks
 from kr270_milling.base.errors import InputError
 from kr270_milling.base.files import write_files
-from kr270_milling.base.frames import JOINT_NAMES, TOOL0, Pose, quaternion_from_rotation
+from kr270_milling.base.frames import JOINT_NAMES, TOOL0, Pose, lifted, quaternion_from_rotation, tool_axis
 from kr270_milling.base.units import seconds
 from kr270_milling.cell.arm import commanded_joints
 from kr270_milling.cell.cell import Cell
@@ -215,8 +215,8 @@ def _approach(cell: Cell, run: Trajectory, knot: int) -> tuple[np.ndarray, int, 
 
     Raises InputError where the arm cannot reach it.
     """
-    above = run.position[[knot]].copy()
-    above[0, 2] = max(above[0, 2], float(cell.stock.max[2]) + cell.krl.safe_height)
+    safe = float(cell.stock.max[2]) + cell.krl.safe_height
+    above = lifted(run.position[knot], tool_axis(run.quaternion[knot]), safe)[None]
     approaches = []
     beside = ((0.0, 0.0), (0.0, 2e-4), (2e-4, 2e-4))  # [m], of the approach beside the knot, tried in this order
     for shift in beside:
@@ -301,20 +301,21 @@ def write_rsi_table(
     time_ns, shift, turn = offsets(original, revised, tick_ns)
     rows = np.hstack([shift, turn, original.sample(time_ns)])
     if air is not None:
-        rows = _faded(rows, 1e-9 * tick_ns, *air)
+        rows = _faded(rows, 1e-9 * tick_ns, tool_axis(original.quaternion[-1]), *air)
         time_ns = tick_ns * np.arange(len(rows))
     rows = rows * np.repeat([1e3, 180.0 / np.pi, 1e3], 3) + 0.0  # -0.0 becomes 0.0
     _write_rows(path, "dX_mm,dY_mm,dZ_mm,dA_deg,dB_deg,dC_deg,X_mm,Y_mm,Z_mm", time_ns, rows, "{:.6f}".format)
 
 
-def _faded(rows: np.ndarray, tick: float, top: float, safe: float, feed: float) -> np.ndarray:
+def _faded(rows: np.ndarray, tick: float, axis: np.ndarray, top: float, safe: float, feed: float) -> np.ndarray:
     """Rows of shift, turn and place, (n, 9), whose correction ends at zero; with the retract where it is needed."""
     fade = 0.2  # [s], from the whole correction to none, as that of the command rsi by default
     wanted = int(np.ceil(fade / tick))
     if np.min(rows[-wanted:, 8]) < top and rows[-1, 8] < safe:
-        heights = np.append(np.arange(rows[-1, 8] + feed * tick, safe, feed * tick), safe)
+        step = feed * tick * axis[2]
+        heights = np.append(np.arange(rows[-1, 8] + step, safe, step), safe)
         retract = np.repeat(rows[-1:], len(heights), axis=0)
-        retract[:, 8] = heights
+        retract[:, 6:] = [lifted(rows[-1, 6:], axis, height) for height in heights]
         rows = np.concatenate([rows, retract])
     count = min(wanted, int(np.argmin(np.append(rows[::-1, 8] >= top, False))))
     rows[len(rows) - count :, :6] *= np.linspace(1.0, 0.0, count + 1)[1:, None]

@@ -25,7 +25,7 @@ import jinja2
 import numpy as np
 
 from kr270_milling.base.files import write_files
-from kr270_milling.base.frames import Pose, rotation_from_quaternion
+from kr270_milling.base.frames import Pose, lifted, rotation_from_quaternion, tool_axis
 from kr270_milling.base.version import __version__
 from kr270_milling.cell.sections import Program
 from kr270_milling.decide.programs.krl_motion import (
@@ -182,7 +182,8 @@ def _rows(run: Trajectory) -> np.ndarray:
 def _places(program: Program, setup: Setup, run: Trajectory, first: int, last: int) -> list[str]:
     """Home, approach, first point and retract of a part of a trajectory from one knot to another."""
     start, retract = _rows(run)[[first, last]]
-    retract[2] = max(retract[2], 1e3 * (setup.top + program.safe_height))
+    axis = tool_axis(run.quaternion[last])
+    retract[:3] = 1e3 * lifted(run.position[last], axis, setup.top + program.safe_height)
     position, status, turn = setup.approach(run, first)
     above = [*(1e3 * position), *start[3:]]
     home = [f"DECL E6AXIS {program.home}={{{axis_text(np.degrees(program.home_angles), setup.external)}}}"]

@@ -100,6 +100,19 @@ class ForceLaw(Record):
         forces = [spec.name for spec in specs(type(self)) if spec.unit.startswith("n_per")]
         return self.replace(**{name: factor * getattr(self, name) for name in forces})
 
+    def wrong_forces(self) -> str:
+        """Return a sentence on a chip whose forces are not finite, or F_t negative; empty: there is none."""
+        for h in np.geomspace(1e-8, 1e-3, 31).tolist():  # [m]
+            try:
+                with np.errstate(all="ignore"):
+                    forces = np.array(type(self).force(h, *self.arguments.tolist()), float)
+            except ArithmeticError as error:
+                return f"{error} at a chip of {1e6 * h:.3g} um"
+            if not np.isfinite(forces).all() or forces[0] < 0.0:
+                values = ", ".join(f"{1e-3 * force:.4g}" for force in forces)
+                return f"F_t, F_r, F_a are {values} N/mm at a chip of {1e6 * h:.3g} um"
+        return ""
+
     @classmethod
     def fault(cls) -> str:
         """Return a sentence on attributes of the class that are missing or contradict each other; empty: they fit."""

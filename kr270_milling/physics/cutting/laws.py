@@ -209,6 +209,10 @@ class Cutting(Record):
             if math.isnan(getattr(self.active, spec.name)):
                 must = f"given where cutting.law is {self.law}: {spec.allowed} ({spec.text})"
                 raise ParameterError(f"{self.law}.{spec.key}", None, must)
+        # the ranges of the coefficients leave no other forces of the laws of this file
+        wrong = "" if type(self.active).__module__ == __name__ else self.active.wrong_forces()
+        if wrong:
+            raise ParameterError("law", self.law, f"a law of finite forces whose F_t is not negative, but {wrong}")
 
     @property
     def by_engagement(self) -> bool:

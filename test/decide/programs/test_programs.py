@@ -282,9 +282,12 @@ def test_the_program_starts_and_ends_at_home_with_the_spindle_on_in_between(tmp_
     assert "$LOAD={M 12.000" in text and "$BASE=BASE_DATA[12]\n" in text
     assert "$TOOL=TOOL_DATA[3]\n" in text and "; TOOL_DATA[3] must be {X 0.0000,Y 0.0000,Z 250.0000" in text
     text = (tmp_path / "MILLING_CMP.dat").read_text()
-    for name, k in (("XAPPROACH", 0), ("XRETRACT", -1)):  # the safe height is 50 mm
+    up = -Rotation.from_quat(pair[1].quaternion[-1]).as_matrix()[:, 2]
+    end = 1e3 * pair[1].position[-1]
+    leaves = end + (50.0 - end[2]) / up[2] * up  # along the axis of the tool to the safe height, 50 mm
+    for name, wanted in (("XAPPROACH", [*pair[1].position[0, :2] * 1e3, 50.0]), ("XRETRACT", leaves)):
         place = re.search(rf"{name}={{X ({NUMBER}),Y ({NUMBER}),Z ({NUMBER})", text).groups()
-        assert [float(v) for v in place] == pytest.approx([*pair[1].position[k, :2] * 1e3, 50.0], abs=1e-4)
+        assert [float(v) for v in place] == pytest.approx(wanted, abs=1e-4)
     assert "DECL E6AXIS XHOME={A1 0.0000,A2 -90.0000,A3 90.0000,A4 0.0000,A5 0.0000,A6 0.0000," in text
 
 

@@ -1,0 +1,17 @@
+(expect: may be run)
+(set: cutting.detail=engagement)
+(set: stock.min_mm=[-20,-20,-20])
+(set: stock.max_mm=[20,20,0])
+(set: tool.stick_out_mm=45)
+(T1 D=10. - FLAT END MILL)
+G21 G90 G94 G17
+T1 M6
+S8000 M3
+G54
+G43.5 H1
+G0 X-30 Y0 Z30 I0.034899 J0.341812 K0.939120
+G0 Y-8 Z-5
+(the retract of the robot program is along the axis, too)
+G1 X0 F600
+M5
+M30
