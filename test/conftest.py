@@ -58,14 +58,14 @@ def compile_cuts() -> None:
 
 def compile_learning() -> None:
     """Compile the model of the teeth and the learning, then the cut and the check of a leaning tool."""
-    from samples.small_part import compile_cut
+    from samples.small_part import LEANING, compile_cut
 
     from kr270_milling.cell.jobs import compensated, simulate
     from kr270_milling.decide.check import check
 
     cell = compile_cut("teeth")
     compensated(cell, simulate(cell), "learned")
-    check(compile_cut("engagement", gcode="G21 S8000 M3\nG43.5 H1\nG0 X-9 Y8 Z30 J1 K3\nG0 Z-1\nG1 X9 F600\nM30\n"))
+    check(compile_cut("engagement", gcode=LEANING))
 
 
 @pytest.hookimpl(trylast=True)

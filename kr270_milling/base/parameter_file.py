@@ -174,11 +174,17 @@ def parse(text: str, file, key: str):
 def _strict_loader():
     import yaml
 
-    class Loader(yaml.SafeLoader):
+    quick = (yaml.composer.Composer, yaml.CSafeLoader) if yaml.__with_libyaml__ else (yaml.SafeLoader,)
+
+    class Loader(*quick):  # type: ignore[misc] # libyaml, which ROS uses, scans a file five times as fast as Python
         """Refuses repeated keys, numbers to the base 60 (1:30) and aliases (*name).
 
         ROS reads 1:30 as text and refuses aliases. A few lines of aliases can expand beyond any memory.
         """
+
+        def __init__(self, stream):
+            quick[-1].__init__(self, stream)
+            self.anchors: dict = {}
 
         def compose_node(self, parent, index):
             if self.check_event(yaml.AliasEvent):

@@ -7,10 +7,12 @@ from __future__ import annotations
 
 import functools
 import math
+import sys
 from collections.abc import Iterable
 from dataclasses import dataclass
 
 import pytest
+from budget import LONG
 
 __all__ = ["COLUMNS", "NAMES", "ROWS", "Row", "check", "markdown"]
 
@@ -46,10 +48,13 @@ class Row:
         return (self.name, *numbers, self.verdict, self.source)
 
 
-def check(name: str, source: str, unit: str = "", at_most: bool = False, cases: tuple[str, Iterable] = ("", ())):
+def check(
+    name: str, source: str, unit: str = "", at_most: bool = False, cases: tuple[str, Iterable] = ("", ()), long: int = 0
+):
     """Decorator: makes a test of a function that returns (expected, got, tolerance).
 
-    cases: names and values as for ``pytest.mark.parametrize``; ``name`` is then a format of them.
+    cases: names and values as for ``pytest.mark.parametrize``; ``name`` is then a format of them. long: so many of the
+    last cases run in a long run and for the table only.
     """
     arguments, values = cases[0].split(), list(cases[1])
     names = [name.format(**dict(zip(arguments, row, strict=True))) for row in values] or [name]
@@ -66,7 +71,8 @@ def check(name: str, source: str, unit: str = "", at_most: bool = False, cases: 
             ROWS.append(row)
             assert row.verdict == "ok", row
 
-        return pytest.mark.parametrize(arguments, values)(test) if values else test
+        short = values if LONG or "--book" in sys.argv else values[: len(values) - long]
+        return pytest.mark.parametrize(arguments, short)(test) if values else test
 
     return decorate
 

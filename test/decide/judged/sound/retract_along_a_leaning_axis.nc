@@ -1,6 +1,6 @@
 %
 (expect: may be run)
-(set: stock.min_mm=[-20,-20,-20])
+(set: stock.min_mm=[-12,-20,-20])
 (set: stock.max_mm=[20,20,0])
 (set: tool.stick_out_mm=45)
 (T1 D=10. - FLAT END MILL)
@@ -12,7 +12,7 @@ G43.5 H1
 G0 X-30 Y0 Z30 I0.034899 J0.341812 K0.939120
 (slot that leans by 20 deg and leads by 2 deg, its corner 6.7 mm deep)
 G0 Y-8 Z-5
-G1 X0 F600
+G1 X0 F900
 (retract along the axis of the tool)
 G0 X0.76778 Y-0.48014 Z15.66064
 G0 Z40
