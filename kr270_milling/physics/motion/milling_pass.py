@@ -148,7 +148,7 @@ def _refuse_flight(stamps: np.ndarray, deflections: np.ndarray) -> None:
 
 @inner
 def _swing(first, count, state, wrench, pushes, row, arrays, states, free, deflections):
-    """Fill the deflections of ``count`` periods under one wrench, behind ``row``; the first of ``states`` is the end."""
+    """Fill the deflections of ``count`` periods under a wrench, after ``row``; the first of ``states`` is the end."""
     for j in range(state.size):
         states[count % 2, j] = state[j]
     for i in range(count):
