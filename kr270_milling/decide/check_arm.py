@@ -32,7 +32,7 @@ from kr270_milling.physics.cutting import Stock
 from kr270_milling.physics.motion.backlash import tool_jumps
 from kr270_milling.physics.robot import Arm, singularity_measures, status_turn
 from kr270_milling.physics.robot.arm import ASSUMED_BACKLASH
-from kr270_milling.physics.robot.errors import ReachError, SingularityError
+from kr270_milling.physics.robot.errors import JointLimitError, ReachError, SingularityError
 from kr270_milling.physics.robot.inverse import branches
 from kr270_milling.physics.robot.kinematics import forward
 from kr270_milling.physics.robot.urdf import LINKS, link_capsules
@@ -44,7 +44,10 @@ def arm_violations(placed: PlacedArm, limits: Limits, run: Trajectory) -> tuple[
     arm = placed.arm
     unlimited = arm.replace(joint_lower=np.full(6, -most_turned), joint_upper=np.full(6, most_turned))
     try:
-        joints = dataclasses.replace(placed, arm=unlimited).joints(run)
+        try:
+            joints = placed.joints(run)
+        except JointLimitError:
+            joints = dataclasses.replace(placed, arm=unlimited).joints(run)
     except ReachError:
         results = _reach(placed, run)
         if not results:  # of this branch alone
