@@ -49,7 +49,7 @@ class PlacedArm:
 
     def joints(self, trajectory: Trajectory) -> np.ndarray:
         """Joint positions [rad], (n, 6), that command the knots of a trajectory, on the branch of ``posture``."""
-        return self.joints_at(trajectory.position, trajectory.quaternion)
+        return joints_at_knots(self.geometry, trajectory)
 
     def joints_at(self, position: np.ndarray, quaternion: np.ndarray) -> np.ndarray:
         """Joint positions [rad], (n, 6), for tool positions (n, 3) [m] and orientations (n, 4), workpiece frame."""
@@ -62,6 +62,14 @@ class PlacedArm:
     def modes_at(self, joints: np.ndarray) -> list[ModalModel]:
         """Modes at postures (n, 6) [rad], in workpiece axes."""
         return modal_models(self.arm, self.mount, self.dynamics, self.place, joints, self.tool.lateral_compliance)
+
+
+@lru_cache(maxsize=1)  # the check of the arm and the times of the joints need the same, 50 MB a million knots
+def joints_at_knots(arm: PlacedArm, trajectory: Trajectory) -> np.ndarray:
+    """``PlacedArm.joints``, read-only."""
+    joints = arm.joints_at(trajectory.position, trajectory.quaternion)
+    joints.setflags(write=False)
+    return joints
 
 
 @lru_cache(maxsize=6)  # simulated robots run two or three programs, with the same stamps of gaps and of postures

@@ -21,7 +21,7 @@ from kr270_milling.physics.cutting.grid import RESOLVED_NODES
 from kr270_milling.physics.motion.backlash import Gaps
 from kr270_milling.physics.motion.dynamics import ArmModel
 from kr270_milling.physics.motion.imperfections import Imperfections
-from kr270_milling.physics.motion.milling_pass import PassResult, run_pass
+from kr270_milling.physics.motion.milling_pass import MANY, PassResult, run_pass
 from kr270_milling.physics.robot.kinematics import forward, jacobian_at
 from kr270_milling.physics.robot.loads import GRAVITY, link_loads, load_torque
 from kr270_milling.physics.robot.mass import rigid_joint_mass
@@ -267,9 +267,9 @@ def coarser(cell: Cell) -> Cell:
         cell = cell.replace(stage=dataclasses.replace(cell.stage, earlier=earlier))
     exchange, steps = cell.exchange, path_of(cell).clock.micro_steps
     if cell.cutting.by_engagement:
-        many, longest = 100_000, 5e-3  # exchange periods, 7 min at 4 ms; [s], longer periods do not change
+        longest = 5e-3  # [s] of a period; longer ones do not change
         steps = path_of(cell).clock.steps(path_of(cell).target.duration_ns)
-        if not flat_floors(cell) or steps < many or exchange.period > longest:
+        if not flat_floors(cell) or steps < MANY or exchange.period > longest:
             return cell
         return cell.replace(exchange=exchange.rounded(1.5 * exchange.period, cell.tool.spindle_speed))
     long_period, long_step = 0.3e-3, math.radians(1.0) + 1e-9  # [s], [rad] of the exchange; longer ones do not change

@@ -13,6 +13,7 @@ import numpy as np
 
 from kr270_milling.base.column import column, computed, counted
 from kr270_milling.base.errors import InputError
+from kr270_milling.cell.arm import joints_at_knots
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import ScoredPass, simulate
 from kr270_milling.cell.models import arm_of, path_of
@@ -181,10 +182,11 @@ def check(
     path = path_of(cell)
     about: dict[str, Any] = {}  # what follows where the arm can make the path
     reachable = joints is not None and not any(v.what == "joint limit" for v in results)
-    del joints  # of a long program they take 100 MB
     if reachable and reference is None and path.target is not run:
         run = path.target  # slowed down to what the joints can do
         results, _ = arm_violations(arm_of(cell), cell.limits, run)
+    del joints  # of a long program they take 100 MB
+    joints_at_knots.cache_clear()
     results += [*input_violations(cell), *more]
     if reachable:
         planned = fed.trajectory if fed else path.target

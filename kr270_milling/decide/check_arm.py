@@ -32,7 +32,7 @@ from kr270_milling.physics.cutting import Stock
 from kr270_milling.physics.motion.backlash import tool_jumps
 from kr270_milling.physics.robot import Arm, singularity_measures, status_turn
 from kr270_milling.physics.robot.arm import ASSUMED_BACKLASH
-from kr270_milling.physics.robot.errors import ReachError, SingularityError
+from kr270_milling.physics.robot.errors import JointLimitError, ReachError, SingularityError
 from kr270_milling.physics.robot.inverse import branches
 from kr270_milling.physics.robot.kinematics import forward
 from kr270_milling.physics.robot.urdf import LINKS, link_capsules
@@ -44,7 +44,10 @@ def arm_violations(placed: PlacedArm, limits: Limits, run: Trajectory) -> tuple[
     arm = placed.arm
     unlimited = arm.replace(joint_lower=np.full(6, -most_turned), joint_upper=np.full(6, most_turned))
     try:
-        joints = dataclasses.replace(placed, arm=unlimited).joints(run)
+        try:
+            joints = placed.joints(run)
+        except JointLimitError:
+            joints = dataclasses.replace(placed, arm=unlimited).joints(run)
     except ReachError:
         results = _reach(placed, run)
         if not results:  # of this branch alone
@@ -189,25 +192,36 @@ def link_contacts(
     capsules = link_capsules(arm, mount, stick_out)
     turned, obstacles = placed.place.inverse(), _obstacles(workpiece, stock)
     deepest: dict[tuple[str, str], tuple[float, int]] = {}
+    every = 32  # stamps of which one is compared, and the others where the way from there may lead to a contact
     for part in blocks(len(stamps)):
         frames = forward(arm, mount, placed.joints_along(run, stamps[part]))
         links = [Pose(frames.nodes[:, k], frames.rotations[:, k]) for k in range(6)]
         base = Pose(0.0 * frames.flange.position, np.eye(3))
         in_part = [turned @ frame for frame in (base, *links, frames.flange, frames.tool)]
         moved = [(k, in_part[k].apply(start), in_part[k].apply(end), radius) for k, start, end, radius in capsules]
-        pairs = []
-        for link, start, end, radius in moved:
+        coarse = np.arange(len(stamps[part])) // every * every
+        ways = [
+            np.maximum(*(np.linalg.norm(place - place[coarse], axis=1) for place in (start, end)))
+            for _, start, end, _ in moved
+        ]
+        pairs: list[tuple] = []
+        for (link, start, end, radius), way in zip(moved, ways, strict=True):
             for name, box in obstacles if link else ():
-                pairs.append((LINKS[link], name, radius - _nearest(start, end, _from_box, *box)))
-            for other, first, last, wide in moved:
+                corners = (np.broadcast_to(corner, start.shape) for corner in box)
+                pairs.append((LINKS[link], name, radius, way, _from_box, (start, end, *corners)))
+            for (other, first, last, wide), more in zip(moved, ways, strict=True):
                 # links in the chain from a link to the nearest link with which it is compared
                 if min(other, 6) - min(link, 6) >= 3:
-                    away = _nearest(start, end, _from_segment, first, last)
-                    pairs.append((LINKS[other], LINKS[link], radius + wide - away))
-        for body, obstacle, depth in pairs:
-            k = int(np.argmax(depth))
-            if depth[k] > deepest.get((body, obstacle), (0.0, 0))[0]:
-                deepest[body, obstacle] = float(depth[k]), int(stamps[part][k])
+                    ends = start, end, first, last
+                    pairs.append((LINKS[other], LINKS[link], radius + wide, way + more, _from_segment, ends))
+        for body, obstacle, reach, way, distance, places in pairs:
+            known = deepest.get((body, obstacle), (0.0, 0))[0]
+            depth = reach - _nearest(distance, *(place[::every] for place in places))
+            near = np.flatnonzero(depth[coarse // every] + way > known)
+            depth = reach - _nearest(distance, *(place[near] for place in places))
+            k = int(np.argmax(depth)) if near.size else 0
+            if near.size and depth[k] > known:
+                deepest[body, obstacle] = float(depth[k]), int(stamps[part][near[k]])
     return [
         violation(
             "link contact",
@@ -225,10 +239,11 @@ def link_contacts(
 def _stamps(run: Trajectory) -> np.ndarray:
     """Stamps [ns] on a trajectory, WAY apart."""
     spacing = 5e-3  # [m] of the tip between two postures that are compared
-    cosine = np.abs(np.einsum("ij,ij->i", run.quaternion[1:], run.quaternion[:-1]))
-    turn = 2.0 * np.arccos(np.minimum(cosine, 1.0))
-    # [m], assumed: a turn of the tool by an angle counts as a way on this radius
-    way = np.linalg.norm(np.diff(run.position, axis=0), axis=1) + 0.3 * turn
+    way = np.linalg.norm(np.diff(run.position, axis=0), axis=1)
+    if run.turns:
+        cosine = np.abs(np.einsum("ij,ij->i", run.quaternion[1:], run.quaternion[:-1]))
+        # [m], assumed: a turn of the tool by an angle counts as a way on this radius
+        way += 0.3 * 2.0 * np.arccos(np.minimum(cosine, 1.0))
     length = np.concatenate([[0.0], np.cumsum(way)])
     count = 2 + math.ceil(length[-1] / spacing)
     return np.rint(np.interp(np.linspace(0.0, length[-1], count), length, run.time_ns)).astype(np.int64)
@@ -247,7 +262,7 @@ def _obstacles(workpiece: Workpiece, stock: Stock) -> list[tuple[str, tuple[np.n
     return boxes
 
 
-def _nearest(start: np.ndarray, end: np.ndarray, distance: Callable[..., np.ndarray], *body: np.ndarray) -> np.ndarray:
+def _nearest(distance: Callable[..., np.ndarray], start: np.ndarray, end: np.ndarray, *body: np.ndarray) -> np.ndarray:
     """Return the least distance(points, *body) [m] of segments from start to end (n, 3) from a convex body, (n,)."""
     low, high = np.zeros((len(start), 1)), np.ones((len(start), 1))
     for _ in range(20):  # (2/3)^20: 0.03 % of the length, of first order where the segment meets an edge

@@ -34,7 +34,7 @@ from kr270_milling.base.units import seconds
 TOOL_DOWN = (1.0, 0.0, 0.0, 0.0)
 #: [m/rad], assumed, length of a tool: a turn moves its holder by the angle times this length
 LEVER = 0.1
-BLOCK = 65_536  #: times; more are sampled by compiled code
+BLOCK = 50_000  #: times; more are sampled by compiled code
 AT_REST = 1e-6  #: [m/s] a slower tool is at rest: 12 nm in a tick of 12 ms are below the resolution of any axis
 
 

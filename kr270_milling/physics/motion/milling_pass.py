@@ -17,6 +17,7 @@ from kr270_milling.base.errors import MillingError
 from kr270_milling.base.frames import tool_axis
 from kr270_milling.path.trajectory import Trajectory
 from kr270_milling.physics.cutting import CutModel
+from kr270_milling.physics.cutting.compiled import inner
 from kr270_milling.physics.cutting.cut_step import cut_undo, engage
 from kr270_milling.physics.cutting.state import LEVEL_SUM
 from kr270_milling.physics.cutting.sweep import sweep
@@ -29,6 +30,10 @@ SERIES: dict[str, tuple[int, ...]] = {
     "time_ns": (), "target": (3,), "reference": (3,), "tool": (3,), "deflection": (6,), "wrench": (6,),
     "correction": (), "torque": (), "volume": (),
 }  # fmt: skip
+MANY = 100_000  #: exchange periods of a long pass, 7 min at 4 ms
+#: exchange periods that a long pass of the mean force makes at once while the cut is steady. The tool is then less than
+#: ``STEADY`` [m] from the chord of its way, and the change of the force moves it by less than that
+TOGETHER, STEADY = 8, 0.4e-6
 FLIGHT = 0.05  # [m]; an arm that is linear about its posture is no model of one that is pushed so far
 
 
@@ -141,60 +146,91 @@ def _refuse_flight(stamps: np.ndarray, deflections: np.ndarray) -> None:
         raise PassError(float(np.linalg.norm(deflections[first, :3])), float(stamps[first]) * 1e-9)
 
 
+@inner
+def _swing(first, count, state, wrench, pushes, row, arrays, states, free, deflections):
+    """Fill the deflections of ``count`` periods under a wrench, after ``row``; the first of ``states`` is the end."""
+    for j in range(state.size):
+        states[count % 2, j] = state[j]
+    for i in range(count):
+        before, after = states[(count - i) % 2], states[(count - i + 1) % 2]
+        push = pushes[row + i] if len(pushes) else free[:0]
+        swing_freely(first + i, before, arrays, free)
+        drive(first + i, free, before, wrench, push, arrays, after, deflections[row + i + 1])
+
+
 @njit(cache=True, error_model="numpy", nogil=True)
 def _exchange(
-    window, first, last, iterations, reference, silent, arm, state, wrench, cut, teeth, mean, micro_steps, out
+    window, first, last, iterations, most, reference, silent, arm, state, wrench, cut, teeth, mean, micro_steps, out
 ):
     """Exchange periods first+1..last of a pass, Fig. 7; state and wrench are carried on. False: a sweep too large.
 
     window: the period from which ``reference``, ``silent``, the pushes and ``out`` begin; cut: state
-    and params; teeth, mean: see ``cut_undo``.
+    and params; teeth, mean: see ``cut_undo``; most: periods of an exchange of a steady cut, see ``TOGETHER``.
     """
     tool, deflections, wrenches, corrections, torques, volumes = out
     pushes, arrays = arm
     s, p = cut
     per_node = p.spacing * p.spacing
-    scratch, free = np.zeros(state.size), np.zeros(arrays[0].shape[1])
-    deflection, answer = np.zeros(6), wrench.copy()
-    no_forces, no_push = np.empty((0, 3)), np.zeros(0)
-    for n in range(first, last):
-        row = n - window
-        push = pushes[row] if len(pushes) else no_push
-        before, torque = s.floats[LEVEL_SUM], 0.0
-        swing_freely(n, state, arrays, free)
+    states, free = np.zeros((2, state.size)), np.zeros(arrays[0].shape[1])
+    answer, no_forces = wrench.copy(), np.empty((0, 3))
+    n, count, cuts = first, 1, False
+    while n < last:
+        count, row = min(count, last - n), n - window
+        end, before, torque, steady = row + count, s.floats[LEVEL_SUM], 0.0, True
         for k in range(iterations):
-            drive(n, free, state, answer, push, arrays, scratch, deflection)  # the robot predicts
-            for j in range(3):
-                tool[row + 1, j] = reference[row + 1, j] + deflection[j]
-                deflections[row + 1, j] = deflection[j]
-            for j in range(3, tool.shape[1]):  # the axis of a tool that tilts
-                tool[row + 1, j] = reference[row + 1, j]
-            if not max(abs(deflection[0]), abs(deflection[1]), abs(deflection[2])) <= FLIGHT:
+            _swing(n, count, state, answer, pushes, row, arrays, states, free, deflections)  # the robot predicts
+            for i in range(row + 1, end + 1):
+                for j in range(tool.shape[1]):  # with the axis of a tool that tilts
+                    tool[i, j] = reference[i, j] + (deflections[i, j] if j < 3 else 0.0)
+            if not max(abs(deflections[end, 0]), abs(deflections[end, 1]), abs(deflections[end, 2])) <= FLIGHT:
                 return True  # a sweep over metres would not end; the caller refuses this deflection
+            for i in range(1, count):
+                steady = steady and not silent[row + i] and not silent[end]
+                for j in range(3):
+                    chord = tool[row, j] + i / count * (tool[end, j] - tool[row, j])
+                    steady = steady and abs(tool[row + i, j] - chord) < STEADY
+            if not steady:
+                break
             if k > 0 and not cut_undo(s, teeth, mean):
                 return False
             if teeth is not None:  # the cut answers
-                torque = sweep(s, p, tool[row], tool[row + 1], n * micro_steps, micro_steps, no_forces, answer)
+                torque = sweep(s, p, tool[row], tool[end], n * micro_steps, micro_steps, no_forces, answer)
             if mean is not None:
-                torque = engage(s, p, p.flat, p.profile, p.tilts, tool[row], tool[row + 1], micro_steps, answer)
-            if silent[row + 1]:
+                torque = engage(s, p, p.flat, p.profile, p.tilts, tool[row], tool[end], count * micro_steps, answer)
+            if silent[end]:
                 torque = 0.0
                 for j in range(6):
                     answer[j] = 0.0
-        drive(n, free, state, answer, push, arrays, scratch, deflection)  # the robot corrects
-        for j in range(state.size):  # one by one: Numba compiles the sentence on shapes of a slice for seconds
-            state[j] = scratch[j]
-        away = 0.0
-        for j in range(3):
-            away += (reference[row + 1, j] + deflection[j] - tool[row + 1, j]) ** 2
+        if steady:
+            _swing(n, count, state, answer, pushes, row, arrays, states, free, deflections)  # the robot corrects
+            farthest = 0.0
+            for i in range(row + 1, end + 1):
+                away = 0.0
+                for j in range(3):
+                    away += (reference[i, j] + deflections[i, j] - tool[i, j]) ** 2
+                corrections[i] = np.sqrt(away)
+                farthest = max(farthest, corrections[i])
+            removed = (s.floats[LEVEL_SUM] - before) * per_node
+            steady = count == 1 or (farthest < STEADY and (removed > 0.0) == cuts)
+            if not steady:  # a step that removes too much to take it back stays
+                steady = not cut_undo(s, teeth, mean)
+        if not steady:
+            count //= 2
+            for j in range(6):
+                answer[j] = wrench[j]
+            continue
+        cuts = removed > 0.0
         for j in range(6):
-            deflections[row + 1, j], wrenches[row + 1, j] = deflection[j], answer[j]
-        corrections[row + 1] = np.sqrt(away)
-        torques[row + 1] = torque
-        if not silent[row + 1]:
-            volumes[row + 1] = (s.floats[LEVEL_SUM] - before) * per_node
-    for j in range(6):
-        wrench[j] = answer[j]
+            wrench[j] = answer[j]
+        for j in range(state.size):  # one by one: Numba compiles the sentence on shapes of a slice for seconds
+            state[j] = states[0, j]
+        for i in range(row + 1, end + 1):
+            for j in range(6):
+                wrenches[i, j] = answer[j]
+            torques[i] = torque
+            if not silent[i]:
+                volumes[i] = removed / count
+        n, count = n + count, min(2 * count, most) if farthest < 0.35 * STEADY else count
     return True
 
 
@@ -224,8 +260,9 @@ def run_pass(
     silent: stamps (n,) [ns] -> whether the force is not modelled there, (n,) bool: drilling. The tool then removes
     material without a force, and the period counts as one without a cut. most_rows: of the result; those of a longer
     pass combine several periods, see ``PassResult.every``.
-    progress(done, total) is called every 4000 exchange periods. Raises MillingError if the grid has no
-    more tiles or the periods are too long to be iterated, and PassError where the arm would fly off.
+    progress(done, total) is called every 4000 exchange periods. A pass of ``MANY`` periods makes ``TOGETHER`` at once
+    where the cut is steady. Raises MillingError if the grid has no more tiles or the periods are too long to be
+    iterated, and PassError where the arm would fly off.
     """
     chunk = 4000  # exchange periods between two reports of progress
     n = clock.steps(reference.duration_ns)
@@ -237,7 +274,8 @@ def run_pass(
     series = {name: np.zeros((count, *shape)) for name, shape in SERIES.items()}
     series["time_ns"] = np.zeros(count, np.int64)
     filled = 0
-    cut_state = cut.state if iterations > 1 else cut.state_of_pass
+    most = TOGETHER if cut.mean and iterations == 1 and n >= MANY else 1
+    cut_state = cut.state if iterations > 1 or most > 1 else cut.state_of_pass
     area, volume, undercut, wall = cut.removed_area, cut.removed_volume, cut.undercut_volume, 0.0
     for begin in range(0, max(n, 1), window):
         end = min(begin + window, n)
@@ -252,6 +290,7 @@ def run_pass(
         arm = (model.push(reference, stamps, begin, positions), model.arrays)
         carried = (
             iterations,
+            most,
             poses,
             without[-size:],
             arm,

@@ -103,8 +103,10 @@ def _fill(lengths, position, rotation, near_a4, q, distance):
 
 
 @njit(cache=True, nogil=True)
-def branches_at(lengths, position, rotation, near_a4, q, distance):
+def branches_at(lengths, position, rotation, near_a4, q, distance, only=-1):
     """Fill q (8, 6) [rad] with the branches of one flange pose, and distance (8,) [m]; see ``branches``.
+
+    only: the row of ``BRANCHES`` that is filled, with that of the other sign of A5; -1: all.
 
     Wrist centre p - d6 x_6; A2 and A3 by the cosine rule in the triangle of axis 2, axis 3 and wrist centre; A4 to A6
     from R36 = Rx(-A4) Ry(A5) Rx(-A6). The other sign of A5 is the same orientation: A4 + pi, -A5, A6 + pi.
@@ -114,6 +116,8 @@ def branches_at(lengths, position, rotation, near_a4, q, distance):
     height, far = position[2] - d6 * rotation[2, 0] - d1, np.hypot(x, y)
     wrist = np.empty((3, 3))
     for shoulder in range(2):
+        if only >= 0 and only // 4 != shoulder:
+            continue
         side = 1.0 - 2.0 * shoulder
         radius = side * far - a1
         distance[4 * shoulder : 4 * shoulder + 4] = np.hypot(radius, height)
@@ -123,6 +127,8 @@ def branches_at(lengths, position, rotation, near_a4, q, distance):
         q1 = wrapped(-np.arctan2(side * y, side * x))
         bend = np.arccos(min(1.0, max(-1.0, cosine)))
         for elbow in range(2):
+            if only >= 0 and only // 2 % 2 != elbow:
+                continue
             beta = -bend if elbow == 0 else bend  # angle of the forearm against the upper arm, counted upwards
             lead = np.arctan2(forearm * np.sin(beta), a2 + forearm * np.cos(beta))
             q2, q3 = wrapped(lead - np.arctan2(height, radius)), wrapped(elbow_offset - beta)
@@ -181,41 +187,42 @@ def _along(arm: Arm, mount: Mount, path: Pose, seed: np.ndarray) -> np.ndarray:
     _check_shoulder(arm, mount, path)
     beta, radius = elbow_and_reach(arm, first)
     row = (0 if radius >= 0 else 4) + (0 if _wrapped(beta) <= 0 else 2)  # in BRANCHES, with A5 > 0
-    unknown = np.full((len(path.position), 6), np.nan)  # no A4 where A5 = 0
-    every, distance = branches(arm, mount, path, unknown)
-    q = every[:, row]
-    lost = np.flatnonzero(~np.isfinite(q[:, :3]).all(-1))
-    if len(lost):
-        raise ReachError(float(distance[lost[0], row]), _reach(arm), (int(lost[0]),))
-    q[:, 3:] = _wrist_along(arm, mount, path, row, q[:, 3:], first)
+    flange = path @ mount.pose.inverse()
+    q = np.empty((len(path.position), 6))
     q[0] = first
-    return np.unwrap(q, axis=0)
+    lost, distance = _follow(lengths_of(arm), row, *map(np.ascontiguousarray, (flange.position, flange.rotation)), q)
+    if lost:
+        raise ReachError(distance, _reach(arm), (lost,))
+    return q
 
 
-def _wrist_along(arm: Arm, mount: Mount, path: Pose, row: int, wrist: np.ndarray, first: np.ndarray) -> np.ndarray:
-    """A4, A5, A6 along a path, (n, 3), without jumps, from the first posture (6,) on.
+@njit(cache=True, nogil=True)
+def _follow(lengths, row, position, rotation, q):
+    """Fill the postures (n, 6) after the first one without jumps; return the first one out of reach, 0 without, and the
+    distance of its wrist centre from axis 2 [m].
 
-    row: of the branch with A5 > 0; wrist: angles of this branch, NaN where A5 = 0.
+    A4 stays where A5 = 0. Where the path leads through A5 = 0, A5 changes its sign.
     """
-    wrist = wrist.copy()
-    known = np.isfinite(wrist[:, 0])
-    known[0] = True
-    wrist[0] = first[3:] if first[4] >= 0 else _flipped(first[3:])
-    last = np.maximum.accumulate(np.where(known, np.arange(len(known)), 0))
-    wrist[:, 0] = wrist[last, 0]
-    straight = ~known
-    if straight.any():
-        near = np.zeros((np.count_nonzero(straight), 6))
-        near[:, 3] = wrist[straight, 0]
-        places = Pose(path.position[straight], path.rotation[straight])
-        wrist[straight] = branches(arm, mount, places, near)[0][:, row, 3:]
-    step = _wrapped(np.diff(wrist, axis=0))
-    flip = _wrapped(_flipped(wrist[1:]) - wrist[:-1])
-    flips = np.sum(flip**2, -1) < np.sum(step**2, -1)
-    sign = (1.0 if first[4] >= 0 else -1.0) * np.cumprod(np.where(np.r_[False, flips], -1, 1))
-    return np.where(sign[:, None] > 0, wrist, _flipped(wrist))
-
-
-def _flipped(wrist: np.ndarray) -> np.ndarray:
-    """The same orientation with the other sign of A5, (..., 3)."""
-    return wrist * [1, -1, 1] + [np.pi, 0, np.pi]
+    every, distance = np.full((8, 6), np.nan), np.zeros(8)
+    sign = 1.0 if q[0, 4] >= 0.0 else -1.0
+    last = q[0].copy()  # with A5 > 0
+    if sign < 0.0:
+        last[3], last[4], last[5] = last[3] + np.pi, -last[4], last[5] + np.pi
+    for k in range(1, len(q)):
+        every[row, 0] = np.nan
+        branches_at(lengths, position[k], rotation[k], last[3], every, distance, row)
+        if not np.isfinite(every[row, 0]):
+            return k, distance[row]
+        step = flip = 0.0
+        for j in range(3, 6):
+            other = every[row, j] + np.pi if j != 4 else -every[row, j]
+            step, flip = step + wrapped(every[row, j] - last[j]) ** 2, flip + wrapped(other - last[j]) ** 2
+        if flip < step:
+            sign = -sign
+        for j in range(6):
+            last[j] = every[row, j]
+            angle = last[j]
+            if sign < 0.0 and j > 2:
+                angle = -last[j] if j == 4 else last[j] + np.pi
+            q[k, j] = angle - 2 * np.pi * np.round((angle - q[k - 1, j]) / (2 * np.pi))
+    return 0, 0.0

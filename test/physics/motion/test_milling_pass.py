@@ -242,6 +242,19 @@ def test_combined_rows_keep_extremes_sums_means_and_the_scores(whole, monkeypatc
     assert some.removed_volume == plain.removed_volume
 
 
+def test_a_long_pass_exchanges_fewer_times_in_a_steady_cut_with_the_same_deflections(tmp_path, monkeypatch):
+    cell = small_part(tmp_path, GCODE.replace("F4000", "F400"), "cutting.detail=engagement")
+    plain = simulate(cell).result
+    monkeypatch.setattr(milling_pass, "MANY", 100)
+    ran = simulate(cell).result
+    exchanges = 1 + np.count_nonzero((np.diff(ran.wrench[1:], axis=0) != 0.0).any(axis=1))
+    assert exchanges < 0.5 * len(ran.time)
+    apart = np.abs(ran.deflection - plain.deflection)[:, :3]
+    assert np.quantile(apart, 0.99) < 2.0 * milling_pass.STEADY < 0.1 * np.abs(plain.deflection[:, :3]).max()
+    assert ran.removed_volume == pytest.approx(plain.removed_volume, rel=1e-3)
+    assert ran.volume.sum() == pytest.approx(ran.removed_volume, rel=1e-9)
+
+
 def test_the_memory_of_a_pass_does_not_grow_with_its_length(tmp_path, monkeypatch):
     """A tenth of the feed takes six times the periods, with rapid moves; windows and rows stay as many as before."""
     monkeypatch.setattr(milling_pass, "WINDOW", 100)
