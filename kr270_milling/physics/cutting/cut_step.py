@@ -90,7 +90,7 @@ def engage(s, p, flat, profile, tilts, pose_from, pose_to, n, wrench):
             if tilts is not None and tilted:
                 motion, frame = lower_tilted(s, p, pose_from, pose_to, a, b)
             if passes > 0.0 and s.floats[LEVEL_SUM] > removed:
-                part = edge_load(s, p, motion, frame, passes, wrench)
+                part = edge_load(s, p, motion, frame, passes, tilted, wrench)
         torque += part[0]
         height += part[1]
         thrust += part[2]

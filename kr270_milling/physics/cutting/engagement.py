@@ -234,6 +234,7 @@ def make_engagement_state(p: EngagementParams, stock: Stock) -> EngagementState:
             lost.copy(),
             np.zeros(2 * bins),
             np.zeros(13 * RUN, np.float32),
+            np.zeros(13 * RUN, np.int32),
             np.zeros(12 * RUN),
         )
     ints = np.zeros(INTS, np.int64)

@@ -28,6 +28,7 @@ class Profile(NamedTuple):
     """
 
     height: np.ndarray  # float32, (ENTRIES + 2,): of the profile by the distance from the axis [levels]
+    rise: np.ndarray  # float32, same shape: to the height of the next entry [levels]
     # float32, same shape: r / (d height / d r) [nodes^2 / level]; a ramp cuts deepest lead slope ahead
     lead: np.ndarray
     piece: np.ndarray  # int16, same shape: piece of the edge by the distance from the axis
@@ -52,7 +53,8 @@ class EdgeBins(NamedTuple):
     lost: np.ndarray  # (bins, n + 1): levels removed in the present step, by angle and piece
     ahead: np.ndarray  # (bins, n + 1): these levels times |cos(phi)| of their places; 0: of an upright cutter
     raised: np.ndarray  # (bins,): those of the cylinder times their height above the tip [levels]
-    work: np.ndarray  # float32, (11 RUN,): scratch of the nodes of a run
+    work: np.ndarray  # float32, (13 RUN,): scratch of the nodes of a run
+    index: np.ndarray  # int32, the same: places in tables
     place: np.ndarray  # (12 RUN,), the same: from the tip [m]
 
 
@@ -165,6 +167,7 @@ def profile_of(tool: Tool, stock: Stock) -> tuple[Profile, float, float]:
     hollow = bool((np.diff(np.arctan2(parts[:, 5], parts[:, 6])) < -1e-9).any())
     profile = Profile(
         (height / stock.level_step).astype(np.float32),
+        np.diff(height / stock.level_step, append=height[-1] / stock.level_step).astype(np.float32),
         np.minimum(lead * stock.level_step / stock.grid_step**2, 1e9).astype(np.float32),
         piece.astype(np.int16),
         np.append(edges[:, 1] / stock.level_step, [math.inf, math.inf]),

@@ -71,31 +71,31 @@ def lower_nodes(s, p, base, first):
     """Lower the nodes of the run from ``first`` to GOAL, log what they were, and fill LOST and REST."""
     work, none, zero, one, half = s.edge.work, np.int32(0), np.float32(0), np.float32(1), np.float32(0.5)
     total, new, least, start = np.int32(0), np.int32(0), np.int32(LEVELS), np.uint64(base + first)
-    for n in range(RUN):
-        place = start + np.uint64(n)
-        before, rest, part, goal = np.int32(s.pool[place]), s.rest[place], work[PART + n], work[GOAL + n]
-        height = goal - np.float32(rest)
-        after = np.int32(goal + half) if part >= one else np.int32(rest) + np.int32(part * height + half)
-        lost = max(after - before, none) if height > zero else none
-        s.pool[place] = np.uint16(before + lost)
-        s.rest[place] = np.uint16(after) if part >= one and lost > none else rest
-        work[LOST + n], work[REST + n] = np.float32(lost), np.float32(rest)
-        total, least = total + lost, min(least, before + lost)
-        new += np.int32(before == none and lost > none)
-    s.ints[NODES_CUT] += new
-    s.floats[LEVEL_SUM] += total * p.level_step
-    s.edge.highest[start // np.uint64(RUN)] = least
     logged = s.ints[LOGGED]
     s.ints[LOGGED] = LOG_LOST
     if logged + RUN < s.log_place.size:
         for n in range(RUN):
-            if work[LOST + n] > zero:
-                place = start + np.uint64(n)
-                s.log_place[np.uint64(logged)] = place
-                s.log_level[np.uint64(logged)] = s.pool[place] - np.uint16(work[LOST + n])
-                s.log_rest[np.uint64(logged)] = np.uint16(work[REST + n])
-                logged += 1
-        s.ints[LOGGED] = logged
+            s.log_place[np.uint64(logged + n)] = start + np.uint64(n)
+        for n in range(RUN):
+            s.log_level[np.uint64(logged + n)] = s.pool[start + np.uint64(n)]
+        for n in range(RUN):
+            s.log_rest[np.uint64(logged + n)] = s.rest[start + np.uint64(n)]
+        s.ints[LOGGED] = logged + RUN
+    for n in range(RUN):  # numbers are cut to 32 bits at once: more of them fit a register
+        place = start + np.uint64(n)
+        before, rest, part, goal = np.int32(s.pool[place]), np.int32(s.rest[place]), work[PART + n], work[GOAL + n]
+        height, whole = goal - np.float32(rest), part >= one
+        after = np.int32(goal + half) if whole else np.int32(rest + np.int32(part * height + half))
+        lost = max(np.int32(after - before), none) if height > zero else none
+        level = np.int32(before + lost)
+        s.pool[place] = np.uint16(level)
+        s.rest[place] = np.uint16(after if whole and lost > none else rest)
+        work[LOST + n], work[REST + n] = np.float32(lost), np.float32(rest)
+        total, least = np.int32(total + lost), min(least, level)
+        new = np.int32(new + np.int32(before == none and lost > none))
+    s.ints[NODES_CUT] += new
+    s.floats[LEVEL_SUM] += total * p.level_step
+    s.edge.highest[start // np.uint64(RUN)] = least
 
 
 @inlined
@@ -190,7 +190,7 @@ def _run(s, p, i, low, high, base, a, v0, step):
     The loops over all nodes of the run have no branches, so that they become vector instructions.
     """
     m, ahead_x, ahead_y, below, sinks, behind, slope, inverse, r, entry, rim = step
-    shape, edges, work, first = p.profile, s.edge, s.edge.work, low & ~(RUN - 1)
+    shape, edges, work, index, first = p.profile, s.edge, s.edge.work, s.edge.index, low & ~(RUN - 1)
     zero, one, half, tiny = np.float32(0), np.float32(1), np.float32(0.5), np.float32(1e-9)
     most, deepest, table = np.float32(ENTRIES), np.float32(LEVELS), np.float32(SINES + 2 * BEYOND)
     a_, v_, m_, x_, y_ = np.float32(a), np.float32(first - v0), np.float32(m), np.float32(ahead_x), np.float32(ahead_y)
@@ -250,24 +250,27 @@ def _run(s, p, i, low, high, base, a, v0, step):
             work[START + n] = height + half * work[SHARE + n] * sinks_
     for n in range(RUN):
         at = work[AT + n]
-        k = np.uint64(at)
-        work[GOAL + n] = shape.height[k] + (at - np.float32(k)) * (shape.height[k + np.uint64(1)] - shape.height[k])
+        k = np.uint32(np.int32(at))
+        work[GOAL + n] = shape.height[k] + (at - np.float32(k)) * shape.rise[k]
+    begin, stop = np.float32(low - first) - half, np.float32(high - first) + half
     for n in range(RUN):
         goal = min(below_ + work[SHARE + n] * sinks_ - work[GOAL + n], deepest)
         along, beside = work[ALONG + n], work[BESIDE + n]
         meets = along > zero or (behind and along * along + beside * beside < reach)
-        work[GOAL + n] = goal if meets and first + n >= low and first + n <= high else -one
+        work[GOAL + n] = goal if meets and np.float32(n) > begin and np.float32(n) < stop else -one
     lower_nodes(s, p, base, first)
     for n in range(RUN):
         level = below_ + half * work[SHARE + n] * sinks_
         work[END + n], work[GOAL + n] = level - work[REST + n], level - work[GOAL + n]
+        index[AT + n] = np.int32(min(work[AT + n], max(work[FAR + n], most - one)))
+        index[FAR + n], index[SINE + n] = np.int32(work[FAR + n]), np.int32(work[SINE + n])
     for n in range(RUN):
         lost = np.float64(work[LOST + n])
         if lost == 0.0:
             continue
-        angle, far = p.front[np.uint64(work[SINE + n])], np.uint64(shape.piece[np.uint64(work[FAR + n])])
-        z, end, at = np.float64(work[GOAL + n]), np.float64(work[END + n]), work[AT + n]
-        at = np.uint64(shape.piece[np.uint64(min(at, max(work[FAR + n], most - one)))])
+        angle = p.front[np.uint32(index[SINE + n])]
+        far, at = np.uint64(shape.piece[np.uint32(index[FAR + n])]), np.uint64(shape.piece[np.uint32(index[AT + n])])
+        z, end = np.float64(work[GOAL + n]), np.float64(work[END + n])
         b, top = min(at, far), max(at, far)
         if rim and work[COVER + n] > zero:  # above the height at which the rim covered a part before, less is left
             left = max(1.0 - np.float64(work[COVER + n] / work[PART + n]), 1e-3)
@@ -283,16 +286,21 @@ def _run(s, p, i, low, high, base, a, v0, step):
 @inlined
 def _fill(shape, edges, angle, b, top, z, end, each):
     """Add ``each`` level of a column from z to ``end`` [levels] to the pieces b to ``top`` of an angle."""
-    row = edges.lost[angle]
-    if top == np.uint64(shape.length.size - 1) and end > shape.edges[top]:
+    lost, passed = edges.lost[angle], edges.ahead[angle]
+    while b < top and shape.edges[b + ONE] <= z:
+        b += ONE
+    while b < top and shape.edges[top] >= end:
+        top -= ONE
+    if top == np.uint64(shape.length.size - 1):
         start = max(z, shape.edges[top])
         edges.raised[angle] += each * (end - start) * 0.5 * (end + start)
-    while z < end:  # two pieces at once: few columns need a second round, which no processor predicts
-        middle = min(max(shape.edges[b + ONE], z), end) if b < top else end
-        above = min(max(shape.edges[b + ONE + ONE], z), end) if b + ONE < top else end
-        row[b] += each * (middle - z)
-        row[b + ONE] += each * (above - middle)
-        b, z = b + ONE + ONE, above
+    if b < top:  # the pieces between both have their whole height of it: a sum over the pieces below adds them
+        passed[b + ONE] += each
+        passed[top] -= each
+        lost[b] += each * (shape.edges[b + ONE] - z)
+        lost[top] += each * (end - shape.edges[top])
+    else:
+        lost[b] += each * (end - z)
 
 
 @inlined
@@ -330,7 +338,7 @@ def _lead(p, slope, beside, r, entry):
 
 
 @inlined
-def edge_load(s, p, motion, frame, passes, wrench):
+def edge_load(s, p, motion, frame, passes, tilted, wrench):
     """Add the mean wrench of the removed bins; returns mean torque, height above the tip and thrust of the flat end.
 
     motion: of the tip along e1, e2 and a [m], rotation about e1 and e2 [rad]; frame: e1, e2 and a, nine numbers.
@@ -347,18 +355,27 @@ def edge_load(s, p, motion, frame, passes, wrench):
         mean_d = d * p.cosines[q] / (width * p.directions[q, 0])
         forward, turning, left = m * mean_c + side * mean_d, turn_2 * mean_c - turn_1 * mean_d, 0.0
         spread_c = 0.5 + 0.5 * (c * c - d * d) * math.sin(width) / width - mean_c * mean_c  # variance of cos(phi)
-        left_c = 0.0
-        own, changes = 0, (forward > 0.0) != (dz <= 0.0)
+        left_c = through = 0.0
+        own, changes = np.uint64(0), (forward > 0.0) != (dz <= 0.0)
         for n in range(last + 1):
-            b = n if k < bins else last - n
-            volume, volume_c = s.edge.lost[k, b] + left, s.edge.ahead[k, b] + left_c
-            if volume <= 0.0:
+            b = np.uint64(n if k < bins else last - n)
+            volume, volume_c = s.edge.lost[k, b] + left, left_c
+            if tilted:
+                volume_c += s.edge.ahead[k, b]
+            else:
+                if k < bins:
+                    through += s.edge.ahead[k, b]
+                if b < np.uint64(last) and through > 1e-9:
+                    volume += through * (shape.edges[b + ONE] - shape.edges[b])
+                if k >= bins:
+                    through -= s.edge.ahead[k, b]
+            if volume <= 1e-9:  # [levels], or rounding
                 continue
             if volume > left:
                 own = b
             sine, cosine, lever, room = shape.sine[b], shape.cosine[b], shape.lever[b], width * shape.length[b]
-            middle = shape.middle[min(b, last - 1)]
-            if b == last and volume > left:
+            middle = shape.middle[min(b, np.uint64(last - 1))]
+            if b == np.uint64(last) and volume > left:
                 middle = s.edge.raised[k] / s.edge.lost[k, b] * p.level_step
             swing = turning * (middle * sine + shape.cosine_area[b])
             normal = forward * sine - dz * cosine + swing
