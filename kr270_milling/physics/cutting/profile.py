@@ -28,7 +28,7 @@ class Profile(NamedTuple):
     """
 
     height: np.ndarray  # float32, (ENTRIES + 2,): of the profile by the distance from the axis [levels]
-    rise: np.ndarray  # float32, same shape: to the height of the next entry [levels]
+    pieces: np.ndarray  # float32, (m - 1, 5): of parts, radius and height of the start, radius of the end, slope, arc [levels]
     # float32, same shape: r / (d height / d r) [nodes^2 / level]; a ramp cuts deepest lead slope ahead
     lead: np.ndarray
     piece: np.ndarray  # int16, same shape: piece of the edge by the distance from the axis
@@ -160,6 +160,7 @@ def profile_of(tool: Tool, stock: Stock) -> tuple[Profile, float, float]:
     piece = np.clip(np.searchsorted(edges[:, 0], distance, side="right") - 1, 0, total.size - 1)
     piece[ENTRIES:] = total.size
     parts = cutter_of(tool)
+    slopes = np.where(parts[:-1, 4] > 0.0, 0.0, parts[:-1, 5] / np.maximum(parts[:-1, 6], 1e-9))
     names = ("length", "bend", "lever", "middle", "sine", "cosine", "sine_area", "cosine_area")
     columns: Any = {
         name: np.append(values, last) for name, values, last in zip(names, (total, bend, *means), cylinder, strict=True)
@@ -167,7 +168,7 @@ def profile_of(tool: Tool, stock: Stock) -> tuple[Profile, float, float]:
     hollow = bool((np.diff(np.arctan2(parts[:, 5], parts[:, 6])) < -1e-9).any())
     profile = Profile(
         (height / stock.level_step).astype(np.float32),
-        np.diff(height / stock.level_step, append=height[-1] / stock.level_step).astype(np.float32),
+        np.column_stack([parts[:-1, :3] / stock.level_step, slopes, parts[:-1, 4] / stock.level_step]).astype(np.float32),
         np.minimum(lead * stock.level_step / stock.grid_step**2, 1e9).astype(np.float32),
         piece.astype(np.int16),
         np.append(edges[:, 1] / stock.level_step, [math.inf, math.inf]),

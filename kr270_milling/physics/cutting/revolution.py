@@ -131,7 +131,7 @@ def _lower(s, p, x0, y0, m, ahead_x, ahead_y, below, sinks, behind):
 
     sinks: depth at the end beyond that at the start [levels]; behind: nodes behind the start may be lowered too.
     """
-    scale = 1.0 / p.spacing
+    scale, levels = 1.0 / p.spacing, 1.0 / p.level_step
     u0, v0, r = (x0 - p.origin_x) * scale, (y0 - p.origin_y) * scale, p.radius * scale
     u1, v1 = u0 + m * ahead_x, v0 + m * ahead_y
     entry, most = ENTRIES / r, max(below, below + sinks)
@@ -179,7 +179,7 @@ def _lower(s, p, x0, y0, m, ahead_x, ahead_y, below, sinks, behind):
                 continue
             beyond = max(abs(along), abs(along - m))
             rim = rims and math.sqrt(beside * beside + beyond * beyond) + 0.5 * (RUN - 1) > r - RIM
-            step = (m, ahead_x, ahead_y, below, sinks, behind, slope, inverse, r, entry, rim)
+            step = (m, ahead_x, ahead_y, below, sinks, behind, slope, inverse, r, entry, rim, nearest, p.spacing * levels)
             _run(s, p, i, j, end, place, a, v0, step)
 
 
@@ -189,7 +189,7 @@ def _run(s, p, i, low, high, base, a, v0, step):
 
     The loops over all nodes of the run have no branches, so that they become vector instructions.
     """
-    m, ahead_x, ahead_y, below, sinks, behind, slope, inverse, r, entry, rim = step
+    m, ahead_x, ahead_y, below, sinks, behind, slope, inverse, r, entry, rim, nearest, size = step
     shape, edges, work, index, first = p.profile, s.edge, s.edge.work, s.edge.index, low & ~(RUN - 1)
     zero, one, half, tiny = np.float32(0), np.float32(1), np.float32(0.5), np.float32(1e-9)
     most, deepest, table = np.float32(ENTRIES), np.float32(LEVELS), np.float32(SINES + 2 * BEYOND)
@@ -248,10 +248,15 @@ def _run(s, p, i, low, high, base, a, v0, step):
             k = np.uint64(at)
             height = shape.height[k] + (at - np.float32(k)) * (shape.height[k + np.uint64(1)] - shape.height[k])
             work[START + n] = height + half * work[SHARE + n] * sinks_
-    for n in range(RUN):
-        at = work[AT + n]
-        k = np.uint32(np.int32(at))
-        work[GOAL + n] = shape.height[k] + (at - np.float32(k)) * shape.rise[k]
+    near, far, scale = np.float32(nearest * size), np.float32((nearest + RUN) * size), np.float32(r * size / ENTRIES)
+    for k in range(shape.pieces.shape[0]):
+        start, bottom, end, rise, corner = (shape.pieces[k, 0], shape.pieces[k, 1], shape.pieces[k, 2], shape.pieces[k, 3], shape.pieces[k, 4])
+        if start > far or end < near:
+            continue
+        for n in range(RUN):
+            out = work[AT + n] * scale - start
+            up = bottom + rise * out + corner - math.sqrt(max((corner - out) * (corner + out), zero))
+            work[GOAL + n] = up if out >= zero else work[GOAL + n]
     begin, stop = np.float32(low - first) - half, np.float32(high - first) + half
     for n in range(RUN):
         goal = min(below_ + work[SHARE + n] * sinks_ - work[GOAL + n], deepest)
@@ -294,9 +299,10 @@ def _fill(shape, edges, angle, b, top, z, end, each):
     if top == np.uint64(shape.length.size - 1):
         start = max(z, shape.edges[top])
         edges.raised[angle] += each * (end - start) * 0.5 * (end + start)
-    if b < top:  # the pieces between both have their whole height of it: a sum over the pieces below adds them
-        passed[b + ONE] += each
-        passed[top] -= each
+    if b < top:
+        if b + ONE < top:  # the pieces between both have their whole height of it: a sum over the pieces below adds them
+            passed[b + ONE] += each
+            passed[top] -= each
         lost[b] += each * (shape.edges[b + ONE] - z)
         lost[top] += each * (end - shape.edges[top])
     else:
