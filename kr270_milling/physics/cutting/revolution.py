@@ -100,29 +100,32 @@ def lower_nodes(s, p, base, first):
 
 @inlined
 def lower_upright(s, p, x0, y0, z0, x1, y1, z1):
-    """Lower the nodes on a straight move of at most a quarter of the radius; return motion and frame."""
+    """Lower the nodes on a straight move of at most a quarter of the radius; return motion, frame and ``used``."""
     deepest, levels = p.top - min(z0, z1), 1.0 / p.level_step
-    dx, dy = x1 - x0, y1 - y0
+    dx, dy, sinks = x1 - x0, y1 - y0, (z0 - z1) * levels
     m = math.sqrt(dx * dx + dy * dy)
     ahead_x, ahead_y = (dx / m, dy / m) if m > 0.0 else (1.0, 0.0)
+    behind = s.ints[FLOOR_LEVEL] < 0 or sinks > 0.0 or m == 0.0  # a tool that does not sink cuts nothing behind
     if deepest <= 1e-3 * p.level_step or outside(p, x1, y1):
         remember(s, x1, y1, np.int64(0))
     else:
-        below, sinks = (p.top - z0) * levels, (z0 - z1) * levels
-        behind = s.ints[FLOOR_LEVEL] < 0 or sinks > 0.0 or m == 0.0  # a tool that does not sink cuts nothing behind
-        _lower(s, p, x0, y0, m / p.spacing, ahead_x, ahead_y, below, sinks, behind)
+        _lower(s, p, x0, y0, m / p.spacing, ahead_x, ahead_y, (p.top - z0) * levels, sinks, behind)
         remember(s, x1, y1, np.int64(max((p.top - z1) * levels, 0.0)))
-    return (m, 0.0, z1 - z0, 0.0, 0.0), (ahead_x, ahead_y, 0.0, -ahead_y, ahead_x, 0.0, 0.0, 0.0, 1.0)
+    highest = p.profile.length.size - 1
+    while highest > 0 and p.profile.edges[highest] >= deepest * levels:
+        highest -= 1
+    angles = 2 * p.widths.size if behind or sinks < 0.0 else p.widths.size
+    frame = (ahead_x, ahead_y, 0.0, -ahead_y, ahead_x, 0.0, 0.0, 0.0, 1.0)
+    return (m, 0.0, z1 - z0, 0.0, 0.0), frame, (angles, highest)
 
 
 @inlined
 def empty_bins(s):
     """Empty the bins."""
-    for k in range(s.edge.lost.shape[0]):
-        for b in range(s.edge.lost.shape[1]):
-            s.edge.lost[k, b] = s.edge.ahead[k, b] = 0.0
     for k in range(s.edge.raised.size):
         s.edge.raised[k] = 0.0
+        for b in range(s.edge.lost.shape[1]):
+            s.edge.lost[k, b] = s.edge.ahead[k, b] = 0.0
 
 
 @inlined
@@ -344,17 +347,19 @@ def _lead(p, slope, beside, r, entry):
 
 
 @inlined
-def edge_load(s, p, motion, frame, passes, tilted, wrench):
+def edge_load(s, p, motion, frame, passes, used, tilted, wrench):
     """Add the mean wrench of the removed bins; returns mean torque, height above the tip and thrust of the flat end.
 
-    motion: of the tip along e1, e2 and a [m], rotation about e1 and e2 [rad]; frame: e1, e2 and a, nine numbers.
+    motion: of the tip along e1, e2 and a [m], rotation about e1 and e2 [rad]; frame: e1, e2 and a, nine numbers;
+    used: angles and highest piece of the bins that may have lost something.
     """
     m, side, dz, turn_1, turn_2 = motion
     shape, cell, each = p.profile, p.spacing * p.spacing * p.level_step, 1.0 / passes
     teeth, bins, last = p.teeth / (2.0 * math.pi), p.widths.size, shape.length.size - 1
     size = math.sqrt(m * m + side * side + dz * dz) + p.radius * math.sqrt(turn_1 * turn_1 + turn_2 * turn_2)
     local_x = local_y = force_z = moment_x = moment_y = torque = total = raised = thrust = contact = 0.0
-    for k in range(2 * bins):
+    angles, highest = used
+    for k in range(angles):
         q, ahead = (k, 1.0) if k < bins else (k - bins, -1.0)
         width, c, d = p.widths[q], ahead * p.directions[q, 0], p.directions[q, 1]
         mean_c = ahead * p.cosines[q] / width
@@ -363,18 +368,20 @@ def edge_load(s, p, motion, frame, passes, tilted, wrench):
         spread_c = 0.5 + 0.5 * (c * c - d * d) * math.sin(width) / width - mean_c * mean_c  # variance of cos(phi)
         left_c = through = 0.0
         own, changes = np.uint64(0), (forward > 0.0) != (dz <= 0.0)
-        for n in range(last + 1):
+        for n in range(0 if k < bins else last - highest, last + 1):
+            if n > highest and k < bins and left == 0.0:
+                break
             b = np.uint64(n if k < bins else last - n)
-            volume, volume_c = s.edge.lost[k, b] + left, left_c
+            own_lost, here = s.edge.lost[k, b], s.edge.ahead[k, b]
+            s.edge.lost[k, b] = s.edge.ahead[k, b] = 0.0
+            volume, volume_c = own_lost + left, left_c
             if tilted:
-                volume_c += s.edge.ahead[k, b]
+                volume_c += here
             else:
-                if k < bins:
-                    through += s.edge.ahead[k, b]
+                through += here if k < bins else 0.0
                 if b < np.uint64(last) and through > 1e-9:
                     volume += through * (shape.edges[b + ONE] - shape.edges[b])
-                if k >= bins:
-                    through -= s.edge.ahead[k, b]
+                through -= 0.0 if k < bins else here
             if volume <= 1e-9:  # [levels], or rounding
                 continue
             if volume > left:
@@ -382,7 +389,7 @@ def edge_load(s, p, motion, frame, passes, tilted, wrench):
             sine, cosine, lever, room = shape.sine[b], shape.cosine[b], shape.lever[b], width * shape.length[b]
             middle = shape.middle[min(b, np.uint64(last - 1))]
             if b == np.uint64(last) and volume > left:
-                middle = s.edge.raised[k] / s.edge.lost[k, b] * p.level_step
+                middle = s.edge.raised[k] / own_lost * p.level_step
             swing = turning * (middle * sine + shape.cosine_area[b])
             normal = forward * sine - dz * cosine + swing
             area = forward * shape.sine_area[b] - dz * shape.cosine_area[b] + swing * lever
@@ -437,6 +444,7 @@ def edge_load(s, p, motion, frame, passes, tilted, wrench):
                 moment_y += middle * x - lever * c * z
                 torque += f_t * edge * arm
             total, raised = total + volume, raised + volume * middle
+        s.edge.raised[k] = 0.0
     if s.ints[FLOOR_LEVEL] > s.ints[FLOOR_NEAR]:
         s.load[CONTACT] = max(contact, 0.9 * s.load[CONTACT])
     for j in range(3):
