@@ -60,6 +60,7 @@ from kr270_milling.physics.cutting.profile import RUN, EdgeBins, Profile, profil
 from kr270_milling.physics.cutting.state import FAILED, FLOATS, INTS, LEVEL_SUM, LOGGED, NODES_CUT, TILES, common_params
 from kr270_milling.physics.cutting.tool import Tool
 
+SMALLEST = int(np.float64(2.0**-40).view(np.int64)) >> 47
 BINS = 72  #: K, of a whole turn
 SECTORS = 18  # bins of a whole turn below a sinking tool, whose force is nearly axial
 SINES = 4096  # entries of the table ``front`` from one side of the tool to the other
@@ -123,6 +124,7 @@ class EngagementParams(NamedTuple):
     turns: np.ndarray  # (sectors, 2): cos and sin of the middle of each sector
     flat: bool | None  # True: a flat end and no profile, compiled without ``revolution``
     profile: Profile | None  # None: a flat end
+    forces: np.ndarray
     tilts: bool | None  # True: poses have an axis; None: without it, compiled without ``tilted``
 
 
@@ -180,9 +182,17 @@ def make_engagement_params(
         bounce=np.ones(LAYERS.size) if bounce is None else bounce,
         flat=flat_end or None,
         profile=profile,
+        forces=table_of(cutting),
         tilts=tilts or None,
         **tables(widest, stock.grid_step, bins),
     )
+
+
+def table_of(cutting: Cutting) -> np.ndarray:
+    h = (np.arange(SMALLEST, SMALLEST + 36 * 32 + 1) << 47).view(np.float64)
+    f = np.stack(cutting.active.per_depth(h), -1)
+    slope = np.diff(f, axis=0) / np.diff(h)[:, None]
+    return np.stack([f[:-1] - slope * h[:-1, None], slope], -1).reshape(-1, 6)
 
 
 @functools.lru_cache(maxsize=8)
