@@ -113,7 +113,7 @@ class EngagementParams(NamedTuple):
     give: float  # compliance of the predicted tip along z in a step [m/N]; 0: poses are not predicted
     bounce: np.ndarray  # mean thrust of a bouncing tip, as a share of that of an even layer of LAYERS, (LAYERS.size,)
     moments: bool  # forces turn the tool about its tip
-    front: np.ndarray  # int16, 2 (SINES + 2 BEYOND): bin ahead by BEYOND + SINES (1 + sin(phi)) / 2, then those behind
+    front: np.ndarray  # uint16, 2 (SINES + 2 BEYOND): bin ahead by BEYOND + SINES (1 + sin(phi)) / 2, then those behind
     around: np.ndarray  # int16, (2 reach + 1, 2 reach + 1): sector by the place beside the axis [nodes]
     inverse: np.ndarray  # float32, same shape: mean of R / r over the nodes of a block, by the middle of the block
     reach: int  # nodes
@@ -215,7 +215,7 @@ def tables(radius: float, spacing: float, bins: int) -> dict:
     edges = np.concatenate([[-0.5 * np.pi], inner, [0.5 * np.pi]])
     middles = 0.5 * (edges[1:] + edges[:-1])
     sines = np.arange(-BEYOND, SINES + BEYOND) * (2.0 / SINES) - 1.0
-    front = np.clip(np.searchsorted(np.sin(edges), sines) - 1, 0, ahead - 1).astype(np.int16)
+    front = np.clip(np.searchsorted(np.sin(edges), sines) - 1, 0, ahead - 1).astype(np.uint16)
     node = 0.5 * SINES * spacing / radius * FINE
     whole = (np.arange(SECTORS) + 0.5) * (2.0 * np.pi / SECTORS) - np.pi
     return {

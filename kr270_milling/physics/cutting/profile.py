@@ -31,7 +31,7 @@ class Profile(NamedTuple):
     pieces: np.ndarray  # float32, (m - 1, 5): of parts, radius and height of the start, radius of the end, slope, arc [levels]
     # float32, same shape: r / (d height / d r) [nodes^2 / level]; a ramp cuts deepest lead slope ahead
     lead: np.ndarray
-    piece: np.ndarray  # int16, same shape: piece of the edge by the distance from the axis
+    piece: np.ndarray  # uint16, same shape: piece of the edge by the distance from the axis
     edges: np.ndarray  # (n + 1,): heights of the edges of the pieces [levels]
     length: np.ndarray  # (n + 1,), as all that follow: of the edge [m]
     bend: np.ndarray  # half of its turn [rad]
@@ -170,7 +170,7 @@ def profile_of(tool: Tool, stock: Stock) -> tuple[Profile, float, float]:
         (height / stock.level_step).astype(np.float32),
         np.column_stack([parts[:-1, :3] / stock.level_step, slopes, parts[:-1, 4] / stock.level_step]).astype(np.float32),
         np.minimum(lead * stock.level_step / stock.grid_step**2, 1e9).astype(np.float32),
-        piece.astype(np.int16),
+        piece.astype(np.uint16),
         np.append(edges[:, 1] / stock.level_step, [math.inf, math.inf]),
         **columns,
         rims=edges[:, 0].copy(),

@@ -302,14 +302,11 @@ def _fill(shape, edges, angle, b, top, z, end, each):
     if top == np.uint64(shape.length.size - 1):
         start = max(z, shape.edges[top])
         edges.raised[angle] += each * (end - start) * 0.5 * (end + start)
-    if b < top:
-        if b + ONE < top:  # the pieces between both have their whole height of it: a sum over the pieces below adds them
-            passed[b + ONE] += each
-            passed[top] -= each
-        lost[b] += each * (shape.edges[b + ONE] - z)
-        lost[top] += each * (end - shape.edges[top])
-    else:
-        lost[b] += each * (end - z)
+    if b + ONE < top:  # the pieces between both have their whole height of it: a sum over the pieces below adds them
+        passed[b + ONE] += each
+        passed[top] -= each
+    lost[b] += each * ((shape.edges[b + ONE] if b < top else end) - z)
+    lost[max(top, b + ONE)] += each * (end - shape.edges[top] if b < top else 0.0)
 
 
 @inlined
