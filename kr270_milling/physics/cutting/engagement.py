@@ -245,6 +245,7 @@ def make_engagement_state(p: EngagementParams, stock: Stock) -> EngagementState:
             np.zeros(2 * bins),
             np.zeros(13 * RUN, np.float32),
             np.zeros(13 * RUN, np.int32),
+            np.zeros(((2 * p.reach + 3) * ((2 * p.reach + 3) // RUN + 2), 6), np.int64),
             np.zeros(12 * RUN),
         )
     ints = np.zeros(INTS, np.int64)

@@ -55,6 +55,7 @@ class EdgeBins(NamedTuple):
     raised: np.ndarray  # (bins,): those of the cylinder times their height above the tip [levels]
     work: np.ndarray  # float32, (13 RUN,): scratch of the nodes of a run
     index: np.ndarray  # int32, the same: places in tables
+    runs: np.ndarray  # int64, (m, 6): runs that a step may lower
     place: np.ndarray  # (12 RUN,), the same: from the tip [m]
 
 

@@ -140,7 +140,7 @@ def _lower(s, p, x0, y0, m, ahead_x, ahead_y, below, sinks, behind):
     entry, most = ENTRIES / r, max(below, below + sinks)
     slope = -sinks / m if m > 1e-6 else 0.0  # rise of the tip [levels a node]
     inverse = 1.0 / m if m > 1e-6 else 0.0
-    low, high = 0, ENTRIES
+    low, high, runs, count = 0, ENTRIES, s.edge.runs, 0
     while low < high:  # the tool is above the top of the stock where it is wider
         middle = (low + high) // 2
         low, high = (low, middle) if p.profile.height[middle] >= most - 0.5 else (middle + 1, high)
@@ -182,17 +182,23 @@ def _lower(s, p, x0, y0, m, ahead_x, ahead_y, below, sinks, behind):
                 continue
             beyond = max(abs(along), abs(along - m))
             rim = rims and math.sqrt(beside * beside + beyond * beyond) + 0.5 * (RUN - 1) > r - RIM
-            step = (m, ahead_x, ahead_y, below, sinks, behind, slope, inverse, r, entry, rim, nearest, p.spacing * levels)
-            _run(s, p, i, j, end, place, a, v0, step)
+            runs[count, 0], runs[count, 1], runs[count, 2], runs[count, 3] = i, j, end, place
+            runs[count, 4], runs[count, 5] = rim, int(nearest)
+            count += 1
+    step = (m, ahead_x, ahead_y, below, sinks, behind, slope, inverse, r, entry, p.spacing * levels)
+    for k in range(count):
+        _run(s, p, runs[k], u0, v0, step)
 
 
 @inlined
-def _run(s, p, i, low, high, base, a, v0, step):
+def _run(s, p, run, u0, v0, step):
     """Lower the nodes (i, low..high) of one run, and add what they lose to their bins.
 
     The loops over all nodes of the run have no branches, so that they become vector instructions.
     """
-    m, ahead_x, ahead_y, below, sinks, behind, slope, inverse, r, entry, rim, nearest, size = step
+    m, ahead_x, ahead_y, below, sinks, behind, slope, inverse, r, entry, size = step
+    i, low, high, base, rim, nearest = run[0], run[1], run[2], run[3], run[4] > 0, run[5]
+    a = i - u0
     shape, edges, work, index, first = p.profile, s.edge, s.edge.work, s.edge.index, low & ~(RUN - 1)
     zero, one, half, tiny = np.float32(0), np.float32(1), np.float32(0.5), np.float32(1e-9)
     most, deepest, table = np.float32(ENTRIES), np.float32(LEVELS), np.float32(SINES + 2 * BEYOND)
