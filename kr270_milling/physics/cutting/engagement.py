@@ -52,7 +52,7 @@ from numba import njit
 
 from kr270_milling.physics.cutting.compiled import inlined
 from kr270_milling.physics.cutting.fill import any_above
-from kr270_milling.physics.cutting.force_law import call_law
+from kr270_milling.physics.cutting.force_law import forces_at
 from kr270_milling.physics.cutting.grid import MAX_TILES, TILE, Stock, tile_count
 from kr270_milling.physics.cutting.laws import Cutting
 from kr270_milling.physics.cutting.load import end_force
@@ -60,7 +60,6 @@ from kr270_milling.physics.cutting.profile import RUN, EdgeBins, Profile, profil
 from kr270_milling.physics.cutting.state import FAILED, FLOATS, INTS, LEVEL_SUM, LOGGED, NODES_CUT, TILES, common_params
 from kr270_milling.physics.cutting.tool import Tool
 
-SMALLEST = int(np.float64(2.0**-40).view(np.int64)) >> 47
 BINS = 72  #: K, of a whole turn
 SECTORS = 18  # bins of a whole turn below a sinking tool, whose force is nearly axial
 SINES = 4096  # entries of the table ``front`` from one side of the tool to the other
@@ -106,8 +105,7 @@ class EngagementParams(NamedTuple):
     top: float
     thickness: float
     level_step: float
-    law: int  # address of the compiled force law, see ``force_law.call_law``
-    coefficients: np.ndarray  # coefficients of the law [SI], (p,)
+    law: np.ndarray  # ``ForceLaw.table``
     end_share: float  # share of the end edge that presses on the floor
     edge_radius: float  # below this layer the force of the end edge is in proportion to the layer
     give: float  # compliance of the predicted tip along z in a step [m/N]; 0: poses are not predicted
@@ -124,7 +122,6 @@ class EngagementParams(NamedTuple):
     turns: np.ndarray  # (sectors, 2): cos and sin of the middle of each sector
     flat: bool | None  # True: a flat end and no profile, compiled without ``revolution``
     profile: Profile | None  # None: a flat end
-    forces: np.ndarray
     tilts: bool | None  # True: poses have an axis; None: without it, compiled without ``tilted``
 
 
@@ -182,17 +179,9 @@ def make_engagement_params(
         bounce=np.ones(LAYERS.size) if bounce is None else bounce,
         flat=flat_end or None,
         profile=profile,
-        forces=table_of(cutting),
         tilts=tilts or None,
         **tables(widest, stock.grid_step, bins),
     )
-
-
-def table_of(cutting: Cutting) -> np.ndarray:
-    h = (np.arange(SMALLEST, SMALLEST + 36 * 32 + 1) << 47).view(np.float64)
-    f = np.stack(cutting.active.per_depth(h), -1)
-    slope = np.diff(f, axis=0) / np.diff(h)[:, None]
-    return np.stack([f[:-1] - slope * h[:-1, None], slope], -1).reshape(-1, 6)
 
 
 @functools.lru_cache(maxsize=8)
@@ -669,7 +658,7 @@ def _load(s, p, m, sinking, ahead_x, ahead_y, passes, wrench):
         if volume > 0.0:
             h = m * p.cosines[k] / p.widths[k] / passes
             height = share * p.widths[k] * volume * cell / (p.radius * m * p.cosines[k])  # a_k f_k N dphi / (2 pi)
-            f_t, f_r, f_a = call_law(p.law, h, p.coefficients)
+            f_t, f_r, f_a = forces_at(p.law, h)
             c, d = p.directions[k, 0], p.directions[k, 1]
             x = (-f_r * c + p.sense * f_t * d) * height
             y = (-f_r * d - p.sense * f_t * c) * height

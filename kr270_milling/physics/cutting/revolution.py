@@ -41,7 +41,6 @@ from kr270_milling.physics.cutting.engagement import (
     CONTACT,
     FLOOR_LEVEL,
     FLOOR_NEAR,
-    SMALLEST,
     LOG_LOST,
     RIM,
     SINES,
@@ -50,6 +49,7 @@ from kr270_milling.physics.cutting.engagement import (
     remember,
     take_tile,
 )
+from kr270_milling.physics.cutting.force_law import forces_at
 from kr270_milling.physics.cutting.grid import LEVELS
 from kr270_milling.physics.cutting.profile import ENTRIES, LEVEL, RUN
 from kr270_milling.physics.cutting.state import LEVEL_SUM, LOGGED, NODES_CUT
@@ -439,8 +439,7 @@ def edge_load(s, p, motion, frame, passes, used, tilted, wrench):
                     contact += edge
                     thrust += f_r * edge
                 else:
-                    row = np.uint64(min(max((np.float64(h).view(np.int64) >> 47) - SMALLEST, 0), p.forces.shape[0] - 1))
-                    f_t, f_r, f_a = p.forces[row, 0] + p.forces[row, 1] * h, p.forces[row, 2] + p.forces[row, 3] * h, p.forces[row, 4] + p.forces[row, 5] * h
+                    f_t, f_r, f_a = forces_at(p.law, h)
                 out, up = -f_r * sine - f_a * cosine, f_r * cosine - f_a * sine
                 x, y, z = edge * (out * c + p.sense * f_t * d), edge * (out * d - p.sense * f_t * c), edge * up
                 local_x, local_y, force_z = local_x + x, local_y + y, force_z + z
