@@ -28,7 +28,9 @@ class Profile(NamedTuple):
     """
 
     height: np.ndarray  # float32, (ENTRIES + 2,): of the profile by the distance from the axis [levels]
-    pieces: np.ndarray  # float32, (m - 1, 5): of parts, radius and height of the start, radius of the end, slope, arc [levels]
+    # float32, (m - 1, 5): of the lines and arcs, radius and height of the start, radius of the end and of the arc
+    # [levels], slope of a line
+    curves: np.ndarray
     # float32, same shape: r / (d height / d r) [nodes^2 / level]; a ramp cuts deepest lead slope ahead
     lead: np.ndarray
     piece: np.ndarray  # uint16, same shape: piece of the edge by the distance from the axis
@@ -51,11 +53,13 @@ class EdgeBins(NamedTuple):
 
     highest: np.ndarray  # uint16, (nodes / RUN,): least level of the nodes of a run, or less
     lost: np.ndarray  # (bins, n + 1): levels removed in the present step, by angle and piece
-    ahead: np.ndarray  # (bins, n + 1): these levels times |cos(phi)| of their places; 0: of an upright cutter
+    # (bins, n + 1): these levels times |cos(phi)| of their places; of an upright cutter, levels that all pieces from
+    # this one on lost for each level of their height
+    ahead: np.ndarray
     raised: np.ndarray  # (bins,): those of the cylinder times their height above the tip [levels]
     work: np.ndarray  # float32, (13 RUN,): scratch of the nodes of a run
-    index: np.ndarray  # int32, the same: places in tables
-    runs: np.ndarray  # int64, (m, 6): runs that a step may lower
+    entries: np.ndarray  # int32, the same: places in tables
+    runs: np.ndarray  # int64, (any, 6): of each run that a step may lower, the arguments of ``_run``
     place: np.ndarray  # (12 RUN,), the same: from the tip [m]
 
 
@@ -169,7 +173,7 @@ def profile_of(tool: Tool, stock: Stock) -> tuple[Profile, float, float]:
     hollow = bool((np.diff(np.arctan2(parts[:, 5], parts[:, 6])) < -1e-9).any())
     profile = Profile(
         (height / stock.level_step).astype(np.float32),
-        np.column_stack([parts[:-1, :3] / stock.level_step, slopes, parts[:-1, 4] / stock.level_step]).astype(np.float32),
+        np.column_stack([parts[:-1, [0, 1, 2, 4]] / stock.level_step, slopes]).astype(np.float32),
         np.minimum(lead * stock.level_step / stock.grid_step**2, 1e9).astype(np.float32),
         piece.astype(np.uint16),
         np.append(edges[:, 1] / stock.level_step, [math.inf, math.inf]),

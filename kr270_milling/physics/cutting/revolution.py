@@ -182,9 +182,10 @@ def _lower(s, p, x0, y0, m, ahead_x, ahead_y, below, sinks, behind):
                 continue
             beyond = max(abs(along), abs(along - m))
             rim = rims and math.sqrt(beside * beside + beyond * beyond) + 0.5 * (RUN - 1) > r - RIM
-            runs[count, 0], runs[count, 1], runs[count, 2], runs[count, 3] = i, j, end, place
-            runs[count, 4], runs[count, 5] = rim, int(nearest)
+            for k, number in enumerate((i, j, end, place, np.int64(rim), int(nearest))):
+                runs[count, k] = number
             count += 1
+    # after the choice of all runs: a processor that guesses a branch of the bins wrong then waits less
     step = (m, ahead_x, ahead_y, below, sinks, behind, slope, inverse, r, entry, p.spacing * levels)
     for k in range(count):
         _run(s, p, runs[k], u0, v0, step)
@@ -192,14 +193,15 @@ def _lower(s, p, x0, y0, m, ahead_x, ahead_y, below, sinks, behind):
 
 @inlined
 def _run(s, p, run, u0, v0, step):
-    """Lower the nodes (i, low..high) of one run, and add what they lose to their bins.
+    """Lower the nodes of one run, and add what they lose to their bins.
 
+    run: i, first and last j, place of j = 0 in the pool, whether the rim is near, distance to the way [nodes].
     The loops over all nodes of the run have no branches, so that they become vector instructions.
     """
     m, ahead_x, ahead_y, below, sinks, behind, slope, inverse, r, entry, size = step
     i, low, high, base, rim, nearest = run[0], run[1], run[2], run[3], run[4] > 0, run[5]
     a = i - u0
-    shape, edges, work, index, first = p.profile, s.edge, s.edge.work, s.edge.index, low & ~(RUN - 1)
+    shape, edges, work, index, first = p.profile, s.edge, s.edge.work, s.edge.entries, low & ~(RUN - 1)
     zero, one, half, tiny = np.float32(0), np.float32(1), np.float32(0.5), np.float32(1e-9)
     most, deepest, table = np.float32(ENTRIES), np.float32(LEVELS), np.float32(SINES + 2 * BEYOND)
     a_, v_, m_, x_, y_ = np.float32(a), np.float32(first - v0), np.float32(m), np.float32(ahead_x), np.float32(ahead_y)
@@ -252,20 +254,10 @@ def _run(s, p, run, u0, v0, step):
             part = min(max(half * (r_ * r_ - far) / sides + half, zero), one)
             work[START + n] = min((away - half * (one - part) * sides / (away + tiny)) * entry_, most)
             work[COVER + n] = part if far > outer and along > zero else zero
+        _heights(shape, work, START, nearest, nearest + RUN + m, size, r)
         for n in range(RUN):
-            at = work[START + n]
-            k = np.uint64(at)
-            height = shape.height[k] + (at - np.float32(k)) * (shape.height[k + np.uint64(1)] - shape.height[k])
-            work[START + n] = height + half * work[SHARE + n] * sinks_
-    near, far, scale = np.float32(nearest * size), np.float32((nearest + RUN) * size), np.float32(r * size / ENTRIES)
-    for k in range(shape.pieces.shape[0]):
-        start, bottom, end, rise, corner = (shape.pieces[k, 0], shape.pieces[k, 1], shape.pieces[k, 2], shape.pieces[k, 3], shape.pieces[k, 4])
-        if start > far or end < near:
-            continue
-        for n in range(RUN):
-            out = work[AT + n] * scale - start
-            up = bottom + rise * out + corner - math.sqrt(max((corner - out) * (corner + out), zero))
-            work[GOAL + n] = up if out >= zero else work[GOAL + n]
+            work[START + n] = work[GOAL + n] + half * work[SHARE + n] * sinks_
+    _heights(shape, work, AT, nearest, nearest + RUN, size, r)
     begin, stop = np.float32(low - first) - half, np.float32(high - first) + half
     for n in range(RUN):
         goal = min(below_ + work[SHARE + n] * sinks_ - work[GOAL + n], deepest)
@@ -295,6 +287,23 @@ def _run(s, p, run, u0, v0, step):
         else:
             each = lost / (end - z)
         _fill(shape, edges, angle, b, top, z, end, each)
+
+
+@inlined
+def _heights(shape, work, row, near, far, size, r):
+    """Fill GOAL with the heights of the profile at a row of distances from the axis [entries], near to far [nodes].
+
+    size: levels of a node; r: radius [nodes].
+    """
+    near_, far_, scale = np.float32((near - 1) * size), np.float32(far * size), np.float32(r * size / ENTRIES)
+    for k in range(shape.curves.shape[0]):
+        curve = shape.curves[k]
+        start, bottom, corner, slope = curve[0], curve[1], curve[3], curve[4]
+        if start <= far_ and curve[2] >= near_:
+            for n in range(RUN):
+                out = work[row + n] * scale - start
+                up = bottom + slope * out + corner - math.sqrt(max((corner - out) * (corner + out), np.float32(0)))
+                work[GOAL + n] = up if out >= np.float32(0) else work[GOAL + n]
 
 
 @inlined
@@ -354,7 +363,7 @@ def edge_load(s, p, motion, frame, passes, used, tilted, wrench):
     """Add the mean wrench of the removed bins; returns mean torque, height above the tip and thrust of the flat end.
 
     motion: of the tip along e1, e2 and a [m], rotation about e1 and e2 [rad]; frame: e1, e2 and a, nine numbers;
-    used: angles and highest piece of the bins that may have lost something.
+    used: angles and highest piece of the bins that may have lost something, which are emptied.
     """
     m, side, dz, turn_1, turn_2 = motion
     shape, cell, each = p.profile, p.spacing * p.spacing * p.level_step, 1.0 / passes
@@ -375,16 +384,16 @@ def edge_load(s, p, motion, frame, passes, used, tilted, wrench):
             if n > highest and k < bins and left == 0.0:
                 break
             b = np.uint64(n if k < bins else last - n)
-            own_lost, here = s.edge.lost[k, b], s.edge.ahead[k, b]
+            lost_here, volume_c = s.edge.lost[k, b], s.edge.ahead[k, b]
             s.edge.lost[k, b] = s.edge.ahead[k, b] = 0.0
-            volume, volume_c = own_lost + left, left_c
-            if tilted:
-                volume_c += here
-            else:
-                through += here if k < bins else 0.0
+            volume = lost_here + left
+            if not tilted:
+                through += volume_c if k < bins else 0.0
                 if b < np.uint64(last) and through > 1e-9:
                     volume += through * (shape.edges[b + ONE] - shape.edges[b])
-                through -= 0.0 if k < bins else here
+                through -= 0.0 if k < bins else volume_c
+                volume_c = 0.0
+            volume_c += left_c
             if volume <= 1e-9:  # [levels], or rounding
                 continue
             if volume > left:
@@ -392,7 +401,7 @@ def edge_load(s, p, motion, frame, passes, used, tilted, wrench):
             sine, cosine, lever, room = shape.sine[b], shape.cosine[b], shape.lever[b], width * shape.length[b]
             middle = shape.middle[min(b, np.uint64(last - 1))]
             if b == np.uint64(last) and volume > left:
-                middle = s.edge.raised[k] / own_lost * p.level_step
+                middle = s.edge.raised[k] / lost_here * p.level_step
             swing = turning * (middle * sine + shape.cosine_area[b])
             normal = forward * sine - dz * cosine + swing
             area = forward * shape.sine_area[b] - dz * shape.cosine_area[b] + swing * lever
