@@ -83,14 +83,16 @@ def engage(s, p, flat, profile, tilts, pose_from, pose_to, n, wrench):
         if flat is not None:
             part = flat_part(s, p, x0, y0, z0, x1, y1, z1, passes, wrench)
         if profile is not None:
-            empty_bins(s)
+            used = 2 * p.widths.size, p.profile.length.size - 1
             motion, frame = (0.0, 0.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
             if not tilted:
-                motion, frame = lower_upright(s, p, x0, y0, z0, x1, y1, z1)
+                motion, frame, used = lower_upright(s, p, x0, y0, z0, x1, y1, z1)
             if tilts is not None and tilted:
                 motion, frame = lower_tilted(s, p, pose_from, pose_to, a, b)
-            if passes > 0.0 and s.floats[LEVEL_SUM] > removed:
-                part = edge_load(s, p, motion, frame, passes, wrench)
+            if passes == 0.0:
+                empty_bins(s)
+            elif s.floats[LEVEL_SUM] > removed:
+                part = edge_load(s, p, motion, frame, passes, used, tilted, wrench)
         torque += part[0]
         height += part[1]
         thrust += part[2]

@@ -52,7 +52,7 @@ from numba import njit
 
 from kr270_milling.physics.cutting.compiled import inlined
 from kr270_milling.physics.cutting.fill import any_above
-from kr270_milling.physics.cutting.force_law import call_law
+from kr270_milling.physics.cutting.force_law import forces_at
 from kr270_milling.physics.cutting.grid import MAX_TILES, TILE, Stock, tile_count
 from kr270_milling.physics.cutting.laws import Cutting
 from kr270_milling.physics.cutting.load import end_force
@@ -105,14 +105,13 @@ class EngagementParams(NamedTuple):
     top: float
     thickness: float
     level_step: float
-    law: int  # address of the compiled force law, see ``force_law.call_law``
-    coefficients: np.ndarray  # coefficients of the law [SI], (p,)
+    law: np.ndarray  # ``ForceLaw.table``
     end_share: float  # share of the end edge that presses on the floor
     edge_radius: float  # below this layer the force of the end edge is in proportion to the layer
     give: float  # compliance of the predicted tip along z in a step [m/N]; 0: poses are not predicted
     bounce: np.ndarray  # mean thrust of a bouncing tip, as a share of that of an even layer of LAYERS, (LAYERS.size,)
     moments: bool  # forces turn the tool about its tip
-    front: np.ndarray  # int16, 2 (SINES + 2 BEYOND): bin ahead by BEYOND + SINES (1 + sin(phi)) / 2, then those behind
+    front: np.ndarray  # uint16, 2 (SINES + 2 BEYOND): bin ahead by BEYOND + SINES (1 + sin(phi)) / 2, then those behind
     around: np.ndarray  # int16, (2 reach + 1, 2 reach + 1): sector by the place beside the axis [nodes]
     inverse: np.ndarray  # float32, same shape: mean of R / r over the nodes of a block, by the middle of the block
     reach: int  # nodes
@@ -205,7 +204,7 @@ def tables(radius: float, spacing: float, bins: int) -> dict:
     edges = np.concatenate([[-0.5 * np.pi], inner, [0.5 * np.pi]])
     middles = 0.5 * (edges[1:] + edges[:-1])
     sines = np.arange(-BEYOND, SINES + BEYOND) * (2.0 / SINES) - 1.0
-    front = np.clip(np.searchsorted(np.sin(edges), sines) - 1, 0, ahead - 1).astype(np.int16)
+    front = np.clip(np.searchsorted(np.sin(edges), sines) - 1, 0, ahead - 1).astype(np.uint16)
     node = 0.5 * SINES * spacing / radius * FINE
     whole = (np.arange(SECTORS) + 0.5) * (2.0 * np.pi / SECTORS) - np.pi
     return {
@@ -234,6 +233,8 @@ def make_engagement_state(p: EngagementParams, stock: Stock) -> EngagementState:
             lost.copy(),
             np.zeros(2 * bins),
             np.zeros(13 * RUN, np.float32),
+            np.zeros(13 * RUN, np.int32),
+            np.zeros(((2 * p.reach + 3) * ((2 * p.reach + 3) // RUN + 2), 6), np.int64),
             np.zeros(12 * RUN),
         )
     ints = np.zeros(INTS, np.int64)
@@ -657,7 +658,7 @@ def _load(s, p, m, sinking, ahead_x, ahead_y, passes, wrench):
         if volume > 0.0:
             h = m * p.cosines[k] / p.widths[k] / passes
             height = share * p.widths[k] * volume * cell / (p.radius * m * p.cosines[k])  # a_k f_k N dphi / (2 pi)
-            f_t, f_r, f_a = call_law(p.law, h, p.coefficients)
+            f_t, f_r, f_a = forces_at(p.law, h)
             c, d = p.directions[k, 0], p.directions[k, 1]
             x = (-f_r * c + p.sense * f_t * d) * height
             y = (-f_r * d - p.sense * f_t * c) * height

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from kr270_milling.physics.cutting.compiled import inlined
-from kr270_milling.physics.cutting.force_law import call_law
+from kr270_milling.physics.cutting.force_law import forces_at
 
 
 @inlined
@@ -15,7 +15,7 @@ def load(s, p, i, step, turn, h, height):
     lag z / R micro-steps later; the motion of the tool in between is neglected. A chip of height H is cut over
     H lag / R micro-steps; each gets a share of the height: the mean over that micro-step and over this one.
     """
-    tangential, radial, axial = call_law(p.law, h, p.coefficients)
+    tangential, radial, axial = forces_at(p.law, h)
     f_t, f_r, f_a = tangential * height, radial * height, axial * height
     length = height * p.lag / p.radii[i]
     short = 1e-6  # [micro-steps]: a shorter lag changes the shares by less than its square
@@ -42,8 +42,8 @@ def end_force(p, h):
     An edge that is round ploughs a layer thinner than ``p.edge_radius``: the force of that layer in proportion.
     """
     least, share = max(h, p.edge_radius), max(p.end_share, 1e-3)  # a share of 0.1 % bounds the thickness of its chip
-    f_t = call_law(p.law, least / share, p.coefficients)[0]
-    f_r = call_law(p.law, least, p.coefficients)[1]
+    f_t = forces_at(p.law, least / share)[0]
+    f_r = forces_at(p.law, least)[1]
     return h / least * share * f_t, h / least * p.end_share * f_r
 
 

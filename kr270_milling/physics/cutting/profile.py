@@ -28,9 +28,12 @@ class Profile(NamedTuple):
     """
 
     height: np.ndarray  # float32, (ENTRIES + 2,): of the profile by the distance from the axis [levels]
+    # float32, (m - 1, 5): of the lines and arcs, radius and height of the start, radius of the end and of the arc
+    # [levels], slope of a line
+    curves: np.ndarray
     # float32, same shape: r / (d height / d r) [nodes^2 / level]; a ramp cuts deepest lead slope ahead
     lead: np.ndarray
-    piece: np.ndarray  # int16, same shape: piece of the edge by the distance from the axis
+    piece: np.ndarray  # uint16, same shape: piece of the edge by the distance from the axis
     edges: np.ndarray  # (n + 1,): heights of the edges of the pieces [levels]
     length: np.ndarray  # (n + 1,), as all that follow: of the edge [m]
     bend: np.ndarray  # half of its turn [rad]
@@ -50,9 +53,13 @@ class EdgeBins(NamedTuple):
 
     highest: np.ndarray  # uint16, (nodes / RUN,): least level of the nodes of a run, or less
     lost: np.ndarray  # (bins, n + 1): levels removed in the present step, by angle and piece
-    ahead: np.ndarray  # (bins, n + 1): these levels times |cos(phi)| of their places; 0: of an upright cutter
+    # (bins, n + 1): these levels times |cos(phi)| of their places; of an upright cutter, levels that all pieces from
+    # this one on lost for each level of their height
+    ahead: np.ndarray
     raised: np.ndarray  # (bins,): those of the cylinder times their height above the tip [levels]
-    work: np.ndarray  # float32, (11 RUN,): scratch of the nodes of a run
+    work: np.ndarray  # float32, (13 RUN,): scratch of the nodes of a run
+    entries: np.ndarray  # int32, the same: places in tables
+    runs: np.ndarray  # int64, (any, 6): of each run that a step may lower, the arguments of ``_run``
     place: np.ndarray  # (12 RUN,), the same: from the tip [m]
 
 
@@ -158,6 +165,7 @@ def profile_of(tool: Tool, stock: Stock) -> tuple[Profile, float, float]:
     piece = np.clip(np.searchsorted(edges[:, 0], distance, side="right") - 1, 0, total.size - 1)
     piece[ENTRIES:] = total.size
     parts = cutter_of(tool)
+    slopes = np.where(parts[:-1, 4] > 0.0, 0.0, parts[:-1, 5] / np.maximum(parts[:-1, 6], 1e-9))
     names = ("length", "bend", "lever", "middle", "sine", "cosine", "sine_area", "cosine_area")
     columns: Any = {
         name: np.append(values, last) for name, values, last in zip(names, (total, bend, *means), cylinder, strict=True)
@@ -165,8 +173,9 @@ def profile_of(tool: Tool, stock: Stock) -> tuple[Profile, float, float]:
     hollow = bool((np.diff(np.arctan2(parts[:, 5], parts[:, 6])) < -1e-9).any())
     profile = Profile(
         (height / stock.level_step).astype(np.float32),
+        np.column_stack([parts[:-1, [0, 1, 2, 4]] / stock.level_step, slopes]).astype(np.float32),
         np.minimum(lead * stock.level_step / stock.grid_step**2, 1e9).astype(np.float32),
-        piece.astype(np.int16),
+        piece.astype(np.uint16),
         np.append(edges[:, 1] / stock.level_step, [math.inf, math.inf]),
         **columns,
         rims=edges[:, 0].copy(),

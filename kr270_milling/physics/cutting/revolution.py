@@ -49,7 +49,7 @@ from kr270_milling.physics.cutting.engagement import (
     remember,
     take_tile,
 )
-from kr270_milling.physics.cutting.force_law import call_law
+from kr270_milling.physics.cutting.force_law import forces_at
 from kr270_milling.physics.cutting.grid import LEVELS
 from kr270_milling.physics.cutting.profile import ENTRIES, LEVEL, RUN
 from kr270_milling.physics.cutting.state import LEVEL_SUM, LOGGED, NODES_CUT
@@ -71,58 +71,61 @@ def lower_nodes(s, p, base, first):
     """Lower the nodes of the run from ``first`` to GOAL, log what they were, and fill LOST and REST."""
     work, none, zero, one, half = s.edge.work, np.int32(0), np.float32(0), np.float32(1), np.float32(0.5)
     total, new, least, start = np.int32(0), np.int32(0), np.int32(LEVELS), np.uint64(base + first)
-    for n in range(RUN):
-        place = start + np.uint64(n)
-        before, rest, part, goal = np.int32(s.pool[place]), s.rest[place], work[PART + n], work[GOAL + n]
-        height = goal - np.float32(rest)
-        after = np.int32(goal + half) if part >= one else np.int32(rest) + np.int32(part * height + half)
-        lost = max(after - before, none) if height > zero else none
-        s.pool[place] = np.uint16(before + lost)
-        s.rest[place] = np.uint16(after) if part >= one and lost > none else rest
-        work[LOST + n], work[REST + n] = np.float32(lost), np.float32(rest)
-        total, least = total + lost, min(least, before + lost)
-        new += np.int32(before == none and lost > none)
-    s.ints[NODES_CUT] += new
-    s.floats[LEVEL_SUM] += total * p.level_step
-    s.edge.highest[start // np.uint64(RUN)] = least
     logged = s.ints[LOGGED]
     s.ints[LOGGED] = LOG_LOST
     if logged + RUN < s.log_place.size:
         for n in range(RUN):
-            if work[LOST + n] > zero:
-                place = start + np.uint64(n)
-                s.log_place[np.uint64(logged)] = place
-                s.log_level[np.uint64(logged)] = s.pool[place] - np.uint16(work[LOST + n])
-                s.log_rest[np.uint64(logged)] = np.uint16(work[REST + n])
-                logged += 1
-        s.ints[LOGGED] = logged
+            s.log_place[np.uint64(logged + n)] = start + np.uint64(n)
+        for n in range(RUN):
+            s.log_level[np.uint64(logged + n)] = s.pool[start + np.uint64(n)]
+        for n in range(RUN):
+            s.log_rest[np.uint64(logged + n)] = s.rest[start + np.uint64(n)]
+        s.ints[LOGGED] = logged + RUN
+    for n in range(RUN):  # numbers are cut to 32 bits at once: more of them fit a register
+        place = start + np.uint64(n)
+        before, rest, part, goal = np.int32(s.pool[place]), np.int32(s.rest[place]), work[PART + n], work[GOAL + n]
+        height, whole = goal - np.float32(rest), part >= one
+        after = np.int32(goal + half) if whole else np.int32(rest + np.int32(part * height + half))
+        lost = max(np.int32(after - before), none) if height > zero else none
+        level = np.int32(before + lost)
+        s.pool[place] = np.uint16(level)
+        s.rest[place] = np.uint16(after if whole and lost > none else rest)
+        work[LOST + n], work[REST + n] = np.float32(lost), np.float32(rest)
+        total, least = np.int32(total + lost), min(least, level)
+        new = np.int32(new + np.int32(before == none and lost > none))
+    s.ints[NODES_CUT] += new
+    s.floats[LEVEL_SUM] += total * p.level_step
+    s.edge.highest[start // np.uint64(RUN)] = least
 
 
 @inlined
 def lower_upright(s, p, x0, y0, z0, x1, y1, z1):
-    """Lower the nodes on a straight move of at most a quarter of the radius; return motion and frame."""
+    """Lower the nodes on a straight move of at most a quarter of the radius; return motion, frame and ``used``."""
     deepest, levels = p.top - min(z0, z1), 1.0 / p.level_step
-    dx, dy = x1 - x0, y1 - y0
+    dx, dy, sinks = x1 - x0, y1 - y0, (z0 - z1) * levels
     m = math.sqrt(dx * dx + dy * dy)
     ahead_x, ahead_y = (dx / m, dy / m) if m > 0.0 else (1.0, 0.0)
+    behind = s.ints[FLOOR_LEVEL] < 0 or sinks > 0.0 or m == 0.0  # a tool that does not sink cuts nothing behind
     if deepest <= 1e-3 * p.level_step or outside(p, x1, y1):
         remember(s, x1, y1, np.int64(0))
     else:
-        below, sinks = (p.top - z0) * levels, (z0 - z1) * levels
-        behind = s.ints[FLOOR_LEVEL] < 0 or sinks > 0.0 or m == 0.0  # a tool that does not sink cuts nothing behind
-        _lower(s, p, x0, y0, m / p.spacing, ahead_x, ahead_y, below, sinks, behind)
+        _lower(s, p, x0, y0, m / p.spacing, ahead_x, ahead_y, (p.top - z0) * levels, sinks, behind)
         remember(s, x1, y1, np.int64(max((p.top - z1) * levels, 0.0)))
-    return (m, 0.0, z1 - z0, 0.0, 0.0), (ahead_x, ahead_y, 0.0, -ahead_y, ahead_x, 0.0, 0.0, 0.0, 1.0)
+    highest = p.profile.length.size - 1
+    while highest > 0 and p.profile.edges[highest] >= deepest * levels:
+        highest -= 1
+    angles = 2 * p.widths.size if behind or sinks < 0.0 else p.widths.size
+    frame = (ahead_x, ahead_y, 0.0, -ahead_y, ahead_x, 0.0, 0.0, 0.0, 1.0)
+    return (m, 0.0, z1 - z0, 0.0, 0.0), frame, (angles, highest)
 
 
 @inlined
 def empty_bins(s):
     """Empty the bins."""
-    for k in range(s.edge.lost.shape[0]):
-        for b in range(s.edge.lost.shape[1]):
-            s.edge.lost[k, b] = s.edge.ahead[k, b] = 0.0
     for k in range(s.edge.raised.size):
         s.edge.raised[k] = 0.0
+        for b in range(s.edge.lost.shape[1]):
+            s.edge.lost[k, b] = s.edge.ahead[k, b] = 0.0
 
 
 @inlined
@@ -131,13 +134,13 @@ def _lower(s, p, x0, y0, m, ahead_x, ahead_y, below, sinks, behind):
 
     sinks: depth at the end beyond that at the start [levels]; behind: nodes behind the start may be lowered too.
     """
-    scale = 1.0 / p.spacing
+    scale, levels = 1.0 / p.spacing, 1.0 / p.level_step
     u0, v0, r = (x0 - p.origin_x) * scale, (y0 - p.origin_y) * scale, p.radius * scale
     u1, v1 = u0 + m * ahead_x, v0 + m * ahead_y
     entry, most = ENTRIES / r, max(below, below + sinks)
     slope = -sinks / m if m > 1e-6 else 0.0  # rise of the tip [levels a node]
     inverse = 1.0 / m if m > 1e-6 else 0.0
-    low, high = 0, ENTRIES
+    low, high, runs, count = 0, ENTRIES, s.edge.runs, 0
     while low < high:  # the tool is above the top of the stock where it is wider
         middle = (low + high) // 2
         low, high = (low, middle) if p.profile.height[middle] >= most - 0.5 else (middle + 1, high)
@@ -179,18 +182,26 @@ def _lower(s, p, x0, y0, m, ahead_x, ahead_y, below, sinks, behind):
                 continue
             beyond = max(abs(along), abs(along - m))
             rim = rims and math.sqrt(beside * beside + beyond * beyond) + 0.5 * (RUN - 1) > r - RIM
-            step = (m, ahead_x, ahead_y, below, sinks, behind, slope, inverse, r, entry, rim)
-            _run(s, p, i, j, end, place, a, v0, step)
+            for k, number in enumerate((i, j, end, place, np.int64(rim), int(nearest))):
+                runs[count, k] = number
+            count += 1
+    # after the choice of all runs: a processor that guesses a branch of the bins wrong then waits less
+    step = (m, ahead_x, ahead_y, below, sinks, behind, slope, inverse, r, entry, p.spacing * levels)
+    for k in range(count):
+        _run(s, p, runs[k], u0, v0, step)
 
 
 @inlined
-def _run(s, p, i, low, high, base, a, v0, step):
-    """Lower the nodes (i, low..high) of one run, and add what they lose to their bins.
+def _run(s, p, run, u0, v0, step):
+    """Lower the nodes of one run, and add what they lose to their bins.
 
+    run: i, first and last j, place of j = 0 in the pool, whether the rim is near, distance to the way [nodes].
     The loops over all nodes of the run have no branches, so that they become vector instructions.
     """
-    m, ahead_x, ahead_y, below, sinks, behind, slope, inverse, r, entry, rim = step
-    shape, edges, work, first = p.profile, s.edge, s.edge.work, low & ~(RUN - 1)
+    m, ahead_x, ahead_y, below, sinks, behind, slope, inverse, r, entry, size = step
+    i, low, high, base, rim, nearest = run[0], run[1], run[2], run[3], run[4] > 0, run[5]
+    a = i - u0
+    shape, edges, work, index, first = p.profile, s.edge, s.edge.work, s.edge.entries, low & ~(RUN - 1)
     zero, one, half, tiny = np.float32(0), np.float32(1), np.float32(0.5), np.float32(1e-9)
     most, deepest, table = np.float32(ENTRIES), np.float32(LEVELS), np.float32(SINES + 2 * BEYOND)
     a_, v_, m_, x_, y_ = np.float32(a), np.float32(first - v0), np.float32(m), np.float32(ahead_x), np.float32(ahead_y)
@@ -243,31 +254,29 @@ def _run(s, p, i, low, high, base, a, v0, step):
             part = min(max(half * (r_ * r_ - far) / sides + half, zero), one)
             work[START + n] = min((away - half * (one - part) * sides / (away + tiny)) * entry_, most)
             work[COVER + n] = part if far > outer and along > zero else zero
+        _heights(shape, work, START, nearest, nearest + RUN + m, size, r)
         for n in range(RUN):
-            at = work[START + n]
-            k = np.uint64(at)
-            height = shape.height[k] + (at - np.float32(k)) * (shape.height[k + np.uint64(1)] - shape.height[k])
-            work[START + n] = height + half * work[SHARE + n] * sinks_
-    for n in range(RUN):
-        at = work[AT + n]
-        k = np.uint64(at)
-        work[GOAL + n] = shape.height[k] + (at - np.float32(k)) * (shape.height[k + np.uint64(1)] - shape.height[k])
+            work[START + n] = work[GOAL + n] + half * work[SHARE + n] * sinks_
+    _heights(shape, work, AT, nearest, nearest + RUN, size, r)
+    begin, stop = np.float32(low - first) - half, np.float32(high - first) + half
     for n in range(RUN):
         goal = min(below_ + work[SHARE + n] * sinks_ - work[GOAL + n], deepest)
         along, beside = work[ALONG + n], work[BESIDE + n]
         meets = along > zero or (behind and along * along + beside * beside < reach)
-        work[GOAL + n] = goal if meets and first + n >= low and first + n <= high else -one
+        work[GOAL + n] = goal if meets and np.float32(n) > begin and np.float32(n) < stop else -one
     lower_nodes(s, p, base, first)
     for n in range(RUN):
         level = below_ + half * work[SHARE + n] * sinks_
         work[END + n], work[GOAL + n] = level - work[REST + n], level - work[GOAL + n]
+        index[AT + n] = np.int32(min(work[AT + n], max(work[FAR + n], most - one)))
+        index[FAR + n], index[SINE + n] = np.int32(work[FAR + n]), np.int32(work[SINE + n])
     for n in range(RUN):
         lost = np.float64(work[LOST + n])
         if lost == 0.0:
             continue
-        angle, far = p.front[np.uint64(work[SINE + n])], np.uint64(shape.piece[np.uint64(work[FAR + n])])
-        z, end, at = np.float64(work[GOAL + n]), np.float64(work[END + n]), work[AT + n]
-        at = np.uint64(shape.piece[np.uint64(min(at, max(work[FAR + n], most - one)))])
+        angle = p.front[np.uint32(index[SINE + n])]
+        far, at = np.uint64(shape.piece[np.uint32(index[FAR + n])]), np.uint64(shape.piece[np.uint32(index[AT + n])])
+        z, end = np.float64(work[GOAL + n]), np.float64(work[END + n])
         b, top = min(at, far), max(at, far)
         if rim and work[COVER + n] > zero:  # above the height at which the rim covered a part before, less is left
             left = max(1.0 - np.float64(work[COVER + n] / work[PART + n]), 1e-3)
@@ -281,18 +290,38 @@ def _run(s, p, i, low, high, base, a, v0, step):
 
 
 @inlined
+def _heights(shape, work, row, near, far, size, r):
+    """Fill GOAL with the heights of the profile at a row of distances from the axis [entries], near to far [nodes].
+
+    size: levels of a node; r: radius [nodes].
+    """
+    near_, far_, scale = np.float32((near - 1) * size), np.float32(far * size), np.float32(r * size / ENTRIES)
+    for k in range(shape.curves.shape[0]):
+        curve = shape.curves[k]
+        start, bottom, corner, slope = curve[0], curve[1], curve[3], curve[4]
+        if start <= far_ and curve[2] >= near_:
+            for n in range(RUN):
+                out = work[row + n] * scale - start
+                up = bottom + slope * out + corner - math.sqrt(max((corner - out) * (corner + out), np.float32(0)))
+                work[GOAL + n] = up if out >= np.float32(0) else work[GOAL + n]
+
+
+@inlined
 def _fill(shape, edges, angle, b, top, z, end, each):
     """Add ``each`` level of a column from z to ``end`` [levels] to the pieces b to ``top`` of an angle."""
-    row = edges.lost[angle]
-    if top == np.uint64(shape.length.size - 1) and end > shape.edges[top]:
+    lost, passed = edges.lost[angle], edges.ahead[angle]
+    while b < top and shape.edges[b + ONE] <= z:
+        b += ONE
+    while b < top and shape.edges[top] >= end:
+        top -= ONE
+    if top == np.uint64(shape.length.size - 1):
         start = max(z, shape.edges[top])
         edges.raised[angle] += each * (end - start) * 0.5 * (end + start)
-    while z < end:  # two pieces at once: few columns need a second round, which no processor predicts
-        middle = min(max(shape.edges[b + ONE], z), end) if b < top else end
-        above = min(max(shape.edges[b + ONE + ONE], z), end) if b + ONE < top else end
-        row[b] += each * (middle - z)
-        row[b + ONE] += each * (above - middle)
-        b, z = b + ONE + ONE, above
+    if b + ONE < top:  # the pieces between both have their whole height of it: a sum over the pieces below adds them
+        passed[b + ONE] += each
+        passed[top] -= each
+    lost[b] += each * ((shape.edges[b + ONE] if b < top else end) - z)
+    lost[max(top, b + ONE)] += each * (end - shape.edges[top] if b < top else 0.0)
 
 
 @inlined
@@ -330,36 +359,49 @@ def _lead(p, slope, beside, r, entry):
 
 
 @inlined
-def edge_load(s, p, motion, frame, passes, wrench):
+def edge_load(s, p, motion, frame, passes, used, tilted, wrench):
     """Add the mean wrench of the removed bins; returns mean torque, height above the tip and thrust of the flat end.
 
-    motion: of the tip along e1, e2 and a [m], rotation about e1 and e2 [rad]; frame: e1, e2 and a, nine numbers.
+    motion: of the tip along e1, e2 and a [m], rotation about e1 and e2 [rad]; frame: e1, e2 and a, nine numbers;
+    used: angles and highest piece of the bins that may have lost something, which are emptied.
     """
     m, side, dz, turn_1, turn_2 = motion
     shape, cell, each = p.profile, p.spacing * p.spacing * p.level_step, 1.0 / passes
     teeth, bins, last = p.teeth / (2.0 * math.pi), p.widths.size, shape.length.size - 1
     size = math.sqrt(m * m + side * side + dz * dz) + p.radius * math.sqrt(turn_1 * turn_1 + turn_2 * turn_2)
     local_x = local_y = force_z = moment_x = moment_y = torque = total = raised = thrust = contact = 0.0
-    for k in range(2 * bins):
+    angles, highest = used
+    for k in range(angles):
         q, ahead = (k, 1.0) if k < bins else (k - bins, -1.0)
         width, c, d = p.widths[q], ahead * p.directions[q, 0], p.directions[q, 1]
         mean_c = ahead * p.cosines[q] / width
         mean_d = d * p.cosines[q] / (width * p.directions[q, 0])
         forward, turning, left = m * mean_c + side * mean_d, turn_2 * mean_c - turn_1 * mean_d, 0.0
         spread_c = 0.5 + 0.5 * (c * c - d * d) * math.sin(width) / width - mean_c * mean_c  # variance of cos(phi)
-        left_c = 0.0
-        own, changes = 0, (forward > 0.0) != (dz <= 0.0)
-        for n in range(last + 1):
-            b = n if k < bins else last - n
-            volume, volume_c = s.edge.lost[k, b] + left, s.edge.ahead[k, b] + left_c
-            if volume <= 0.0:
+        left_c = through = 0.0
+        own, changes = np.uint64(0), (forward > 0.0) != (dz <= 0.0)
+        for n in range(0 if k < bins else last - highest, last + 1):
+            if n > highest and k < bins and left == 0.0:
+                break
+            b = np.uint64(n if k < bins else last - n)
+            lost_here, volume_c = s.edge.lost[k, b], s.edge.ahead[k, b]
+            s.edge.lost[k, b] = s.edge.ahead[k, b] = 0.0
+            volume = lost_here + left
+            if not tilted:
+                through += volume_c if k < bins else 0.0
+                if b < np.uint64(last) and through > 1e-9:
+                    volume += through * (shape.edges[b + ONE] - shape.edges[b])
+                through -= 0.0 if k < bins else volume_c
+                volume_c = 0.0
+            volume_c += left_c
+            if volume <= 1e-9:  # [levels], or rounding
                 continue
             if volume > left:
                 own = b
             sine, cosine, lever, room = shape.sine[b], shape.cosine[b], shape.lever[b], width * shape.length[b]
-            middle = shape.middle[min(b, last - 1)]
-            if b == last and volume > left:
-                middle = s.edge.raised[k] / s.edge.lost[k, b] * p.level_step
+            middle = shape.middle[min(b, np.uint64(last - 1))]
+            if b == np.uint64(last) and volume > left:
+                middle = s.edge.raised[k] / lost_here * p.level_step
             swing = turning * (middle * sine + shape.cosine_area[b])
             normal = forward * sine - dz * cosine + swing
             area = forward * shape.sine_area[b] - dz * shape.cosine_area[b] + swing * lever
@@ -406,7 +448,7 @@ def edge_load(s, p, motion, frame, passes, wrench):
                     contact += edge
                     thrust += f_r * edge
                 else:
-                    f_t, f_r, f_a = call_law(p.law, h, p.coefficients)
+                    f_t, f_r, f_a = forces_at(p.law, h)
                 out, up = -f_r * sine - f_a * cosine, f_r * cosine - f_a * sine
                 x, y, z = edge * (out * c + p.sense * f_t * d), edge * (out * d - p.sense * f_t * c), edge * up
                 local_x, local_y, force_z = local_x + x, local_y + y, force_z + z
@@ -414,6 +456,7 @@ def edge_load(s, p, motion, frame, passes, wrench):
                 moment_y += middle * x - lever * c * z
                 torque += f_t * edge * arm
             total, raised = total + volume, raised + volume * middle
+        s.edge.raised[k] = 0.0
     if s.ints[FLOOR_LEVEL] > s.ints[FLOOR_NEAR]:
         s.load[CONTACT] = max(contact, 0.9 * s.load[CONTACT])
     for j in range(3):

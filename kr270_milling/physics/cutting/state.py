@@ -55,8 +55,7 @@ class Params(NamedTuple):
     level_step: float
     tolerance: int  # levels that the tool may sink before its footprint is swept again
     window: int  # micro-steps within which some tooth passes any point that the tool covers
-    law: int  # address of the compiled force law in this process, see ``force_law.call_law``
-    coefficients: np.ndarray  # coefficients of the law [SI], (p,)
+    law: np.ndarray  # ``ForceLaw.table``
     nominal: bool  # the angle of a tooth is that of the spindle alone
     moments: bool  # forces turn the tool about its tip
     end_share: float  # share of the end edge that presses on the floor
@@ -119,8 +118,7 @@ def common_params(tool: Tool, cutting: Cutting, stock: Stock, micro_step: float)
         "top": float(stock.max[2]),
         "thickness": stock.thickness,
         "level_step": stock.level_step,
-        "law": cutting.active.address(),
-        "coefficients": cutting.active.arguments,
+        "law": cutting.active.table,
         "moments": cutting.moments,
         "end_share": cutting.end_share,
         "edge_radius": tool.edge_radius,
