@@ -51,7 +51,7 @@ def point_numbers(
 ) -> np.ndarray:
     """Return the knots that become points, (p,), in both trajectories; the first, the fixed and the last are points.
 
-    stops: mask (n,) of the knots where the robot stops; None: where the tool stands; fixed: None: the stops. Knots
+    stops: mask (n,) of the knots where the robot stops; None: the standing ones; fixed: None: the stops. Knots
     closer than ``program.point_spacing`` are left out. A tolerance of 0 takes all other knots.
     """
     stops = original.standing if stops is None else stops

@@ -635,7 +635,7 @@ def bends(seed: int) -> tuple[Trajectory, Trajectory]:
 
 @pytest.mark.parametrize("seed", range(4))
 def test_a_spline_that_ends_with_its_module_keeps_to_the_planned_path(tmp_path, seed):
-    """A spline that went on behind the module would miss the knots before the end by up to 131 um."""
+    """A spline that continues behind the module would miss the knots before the end by up to 131 um."""
     target, run = bends(seed)
     program = Program(motion="SPLINE", tolerance=5 * UM, line_limit=110)
     _, knots, _ = write(tmp_path, program, target, run)
