@@ -105,6 +105,16 @@ def test_a_damaged_file_gives_written_messages_or_one_sentence(tmp_path, seed):
         assert {(m.topic, m.log_time, m.data) for m in recording.messages()} <= good and not findings(recording)
 
 
+@pytest.mark.parametrize("tail", [bytes(100), b"\xff" * 100, BEGIN])
+def test_bytes_behind_the_end_of_a_file_change_no_message(tmp_path, tail):
+    data, written = whole_recording()
+    path = tmp_path / "a.mcap"
+    path.write_bytes(data + tail)
+    with Recording(path) as recording:
+        assert findings(recording)
+        assert [(m.topic, m.log_time, m.data) for m in recording.messages()] == written
+
+
 def test_files_that_claim_absurd_sizes_take_no_memory(tmp_path):
     small = zstandard.compress(b"\0" * 1000)
     files = {

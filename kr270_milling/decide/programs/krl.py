@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import functools
 import hashlib
+import math
 import re
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
@@ -117,16 +118,24 @@ def write_krl(
     if not np.array_equal(original.time_ns, revised.time_ns) or original.frame != revised.frame:
         raise TrajectoryError("the original and the revised trajectory must share their knots and frame")
     runs = {"ORG": original, "CMP": revised}
-    points, auxiliary = program_points(program, original, revised, fixed_knots(original.standing, feeds))
-    comments, rests = point_comments(points, notes, auxiliary), original.standing[points]
-    splits = rests & np.all([run.position[points, 2] >= setup.top for run in runs.values()], axis=0)
+    fixed, stops = fixed_knots(original.standing, feeds), original.standing.copy()
     frame_lines = 25  # of a module beside template and motions: heading, first and last lines
     most = program.line_limit - frame_lines - sum(map(len, _head_and_foot(program, setup, "XP1")))
     if most < 20:
         raise TrajectoryError(f"program.line_limit of {program.line_limit} lines has no room beside the heading")
-    parts = [(1, len(points))]
+    fitting: float = math.inf
+    parts: list[tuple[int, int]] = []
     while True:
+        if not parts:
+            points, auxiliary = program_points(program, original, revised, fixed | stops, stops)
+            comments, rests = point_comments(points, notes, auxiliary), stops[points]
+            above = np.all([run.position[points, 2] >= setup.top for run in runs.values()], axis=0)
+            parts = parts_of(len(points), original.standing[points] & above, fitting)
         modules = [modules_of(program, part, rests, auxiliary, comments, most) for part in parts]
+        inner = points[[end - 1 for own in modules for _, end in own][:-1]]
+        if program.motion == "SPLINE" and not stops[inner].all():
+            stops[inner], parts = True, []  # the spline of a module ends at its last point
+            continue
         if sum(map(len, modules)) > 999:
             raise TrajectoryError(f"{len(points)} points need more than 999 modules of {program.line_limit} lines")
         ends = [(int(points[start - 1]), int(points[end - 1])) for start, end in parts]
@@ -144,8 +153,8 @@ def write_krl(
                 files |= {Path(directory, name): lines for name, lines in part.items()}
         if size <= program.memory:
             break
-        fitting = program.memory / size * max(end - start for start, end in parts)
-        parts = parts_of(len(points), splits, int(0.95 * fitting))
+        fitting = int(0.95 * program.memory / size * max(end - start for start, end in parts))
+        parts = parts_of(len(points), original.standing[points] & above, fitting)
     write_files({path: (line + "\n" for line in lines) for path, lines in files.items()}, newline="\r\n")
     return list(files), points, ends
 

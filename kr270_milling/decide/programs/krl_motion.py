@@ -106,14 +106,14 @@ def point_comments(points: np.ndarray, notes: Sequence[tuple[int, str]], auxilia
     return comments
 
 
-def parts_of(count: int, splits: np.ndarray, most: int) -> list[tuple[int, int]]:
+def parts_of(count: int, splits: np.ndarray, most: float) -> list[tuple[int, int]]:
     """Ranges of ``count`` points after the first, [from, to), of at most ``most`` points.
 
     They end at splits, a mask (p,). Raises TrajectoryError where no split is near enough.
     """
     parts, start = [], 1
     while count - start > most:
-        ends = start + np.flatnonzero(splits[start : start + most])
+        ends = start + np.flatnonzero(splits[start : start + int(most)])
         if not ends.size:
             reason = f"{most} points fit, and none of them is a stop above the stock, where a part could end"
             raise TrajectoryError(f"program.memory_mb is too small: {reason}")
@@ -135,17 +135,20 @@ def modules_of(
     rests, auxiliary: masks (p,) of points. Raises TrajectoryError for more points than the modules of a main module can
     hold.
     """
-    pieces, lines = [], 0
+    pieces: list[tuple[int, int]] = []
+    cost = np.where(rests, 4, 1) if program.motion == "SPLINE" else np.full(len(rests), 2)
+    cost += np.array(list(map(bool, comments)))
     start, last = part
-    for i in range(start, last):
-        lines += (2 if program.motion == "LIN" else 1 + 3 * bool(rests[i])) + bool(comments[i])
-        if auxiliary[i]:  # it stays with its end
-            continue
-        if lines > most - 4 or (rests[i] and lines > 0.75 * most):
-            pieces.append((start, i + 1))
-            start, lines = i + 1, 0
-    if start < last:
-        pieces.append((start, last))
+    while start < last:
+        lines = np.cumsum(cost[start : min(last, start + most)])
+        lines = lines[lines <= most - 4]
+        end = start + len(lines)
+        free = ~auxiliary[start:end]  # an auxiliary point stays with its end
+        near = np.flatnonzero(free & rests[start:end] & (lines > 0.75 * most))
+        if near.size or end < last:  # a stop elsewhere needs further points for the tolerance
+            end = start + 1 + int((near if near.size else np.flatnonzero(free & (lines <= 0.9 * most))[::-1])[0])
+        pieces.append((start, end))
+        start = end
     if len(pieces) > 1 and len(pieces) > most:
         reason = f"{last} points need {len(pieces)} modules, more than a main module of"
         raise TrajectoryError(f"{reason} {program.line_limit} lines can call; raise program.line_limit")

@@ -43,25 +43,32 @@ def fixed_knots(stops: np.ndarray, feeds: np.ndarray | None) -> np.ndarray:
 
 
 def point_numbers(
-    program: Program, original: Trajectory, revised: Trajectory, fixed: np.ndarray | None = None
+    program: Program,
+    original: Trajectory,
+    revised: Trajectory,
+    fixed: np.ndarray | None = None,
+    stops: np.ndarray | None = None,
 ) -> np.ndarray:
     """Return the knots that become points, (p,), in both trajectories; the first, the fixed and the last are points.
 
-    fixed: mask (n,) of knots; None: the stops. Knots closer than ``program.point_spacing`` are left out. A tolerance of
-    0 takes all other knots.
+    stops: mask (n,) of the knots where the robot stops; None: the standing ones; fixed: None: the stops. Knots
+    closer than ``program.point_spacing`` are left out. A tolerance of 0 takes all other knots.
     """
-    fixed = original.standing if fixed is None else fixed
+    stops = original.standing if stops is None else stops
+    fixed = stops if fixed is None else fixed
     knots = _apart(program.point_spacing, fixed, _places(original), _places(revised))
     if not program.tolerance:
         return knots
     fixed = fixed[knots]
     fixed[[0, -1]] = True
     runs = [original] if revised is original else [original, revised]
-    chosen = _refined(program, runs, knots, fixed)
-    return knots[_thinned(program, runs, knots, chosen, fixed)]
+    chosen = _refined(program, runs, stops, knots, fixed)
+    return knots[_thinned(program, runs, stops, knots, chosen, fixed)]
 
 
-def _refined(program: Program, runs: list[Trajectory], knots: np.ndarray, fixed: np.ndarray) -> np.ndarray:
+def _refined(
+    program: Program, runs: list[Trajectory], stops: np.ndarray, knots: np.ndarray, fixed: np.ndarray
+) -> np.ndarray:
     """Halve the stretches between fixed knots until the error is in the tolerance; return indices into ``knots``."""
     time, chosen = runs[0].time_ns[knots], np.flatnonzero(fixed)
     while True:
@@ -69,7 +76,7 @@ def _refined(program: Program, runs: list[Trajectory], knots: np.ndarray, fixed:
         later = np.searchsorted(time, middle)
         middle = later - (time[later] - middle > middle - time[later - 1])  # the knot nearest to the middle
         inside = (middle > chosen[:-1]) & (middle < chosen[1:])
-        wrong = _errors(program, runs, knots[chosen]) > program.tolerance
+        wrong = _errors(program, runs, stops, knots[chosen]) > program.tolerance
         split = inside & np.logical_or.reduceat(wrong, knots[chosen[:-1]])
         if not split.any():
             return chosen
@@ -80,10 +87,15 @@ def _refined(program: Program, runs: list[Trajectory], knots: np.ndarray, fixed:
 
 
 def _thinned(
-    program: Program, runs: list[Trajectory], knots: np.ndarray, chosen: np.ndarray, fixed: np.ndarray
+    program: Program,
+    runs: list[Trajectory],
+    stops: np.ndarray,
+    knots: np.ndarray,
+    chosen: np.ndarray,
+    fixed: np.ndarray,
 ) -> np.ndarray:
     """Leave out points that the tolerance does not need: every third one at a time, then back where it is needed."""
-    limit = np.maximum(program.tolerance, _errors(program, runs, knots[chosen]))  # rounded corners miss by more
+    limit = np.maximum(program.tolerance, _errors(program, runs, stops, knots[chosen]))  # rounded corners miss by more
     thinnings = 4  # times that each point is left out on trial
     reach = 2  # stretches to both sides in which a point that is left out changes the path
     for turn in range(3 * thinnings):
@@ -91,7 +103,7 @@ def _thinned(
         out &= ~fixed[chosen]
         while out.any():
             points = knots[chosen[~out]]
-            over = np.logical_or.reduceat(_errors(program, runs, points) > limit, points[:-1])
+            over = np.logical_or.reduceat(_errors(program, runs, stops, points) > limit, points[:-1])
             if not over.any():
                 break
             near = np.convolve(over, np.ones(2 * reach + 1), "same") > 0.0
@@ -102,14 +114,20 @@ def _thinned(
 
 
 def program_points(
-    program: Program, original: Trajectory, revised: Trajectory, fixed: np.ndarray | None = None
+    program: Program,
+    original: Trajectory,
+    revised: Trajectory,
+    fixed: np.ndarray | None = None,
+    stops: np.ndarray | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the points of ``point_numbers`` with the arcs of LIN motions, (p,), and which are auxiliary points, (p,).
 
     An arc has its auxiliary point in the middle and replaces two points or more, none of them fixed (n,). It is as near
     to the knots of both trajectories as the lines are, or in the tolerance, and the tool does not turn on it.
     """
-    points, fixed = point_numbers(program, original, revised, fixed), original.standing if fixed is None else fixed
+    stops = original.standing if stops is None else stops
+    fixed = stops if fixed is None else fixed
+    points = point_numbers(program, original, revised, fixed, stops)
     stays, auxiliary = np.ones(len(points), bool), np.zeros(len(points), bool)
     if program.motion == "LIN" and program.tolerance:
         runs = [original] if revised is original else [original, revised]
@@ -118,10 +136,10 @@ def program_points(
             fixed = fixed | np.append(turning, False) | np.append(False, turning)
         places = np.array([run.position for run in runs])
         stays, auxiliary = _arcs(program.tolerance, places, points, fixed[points])
-        before = _errors(program, runs, points)
+        before = _errors(program, runs, stops, points)
         while auxiliary.any():
             chosen = np.flatnonzero(stays)
-            after = _errors(program, runs, points[chosen], auxiliary[chosen])
+            after = _errors(program, runs, stops, points[chosen], auxiliary[chosen])
             limit, worst = (np.maximum.reduceat(error, points[chosen[:-1]]) for error in (before, after))
             wrong = worst > np.maximum(program.tolerance, limit)
             near = np.convolve(wrong, np.ones(3), "same") > 0.0  # with the blending to both sides
@@ -243,7 +261,7 @@ def program_blocks(
 ) -> ProgramBlocks:
     """Return the size of the blocks of the program of ``revised``; fixed: as of ``point_numbers``."""
     points, auxiliary = program_points(program, original, revised, fixed)
-    error = _errors(program, [original, revised], points, auxiliary).max()
+    error = _errors(program, [original, revised], original.standing, points, auxiliary).max()
     points = points[~auxiliary]
     time = original.time_ns[points]
     step = np.diff(time)
@@ -290,12 +308,14 @@ def _near(spacing, original, revised, k, before):
     return min(apart, np.sqrt(np.sum((revised[k] - revised[before]) ** 2))) < spacing
 
 
-def _errors(program: Program, runs: list[Trajectory], points: np.ndarray, auxiliary=None) -> np.ndarray:
+def _errors(
+    program: Program, runs: list[Trajectory], stops: np.ndarray, points: np.ndarray, auxiliary=None
+) -> np.ndarray:
     """Return the distance [m] of each knot from its place on the program, (n,), the largest of the runs."""
-    stops, worst = runs[0].standing[points], np.zeros(len(runs[0]))
+    rests, worst = stops[points], np.zeros(len(stops))
     for run in runs:
         spline = program.motion == "SPLINE"
-        place = places_on_program(run, points, run.position[points], stops, spline, program.blend_distance, auxiliary)
+        place = places_on_program(run, points, run.position[points], rests, spline, program.blend_distance, auxiliary)
         place -= run.position
         worst = np.maximum(worst, np.sqrt(np.einsum("ni,ni->n", place, place)))
         if run.turns:

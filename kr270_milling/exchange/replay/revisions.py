@@ -139,11 +139,15 @@ class Revisions:
         received = self._received(number, stated)
         return received.record(path_of(self.cell), self.cell.imperfections, self._plant, number)
 
-    def _received(self, number: int, stated: LearnedRecording | None) -> ReceivedPass:
-        """Return a pass as the compensator received it, with the wrenches that a state counts. Raises NotRecorded."""
+    def _pass(self, number: int) -> PassSeries:
+        """Return a complete pass. Raises NotRecorded."""
         if number < 0:
             raise NotRecorded("the reference trajectory follows from a pass that was not recorded")
-        pose, wrench = (self._passes[number].topic(name).last() for name in ("tool_pose", "wrench"))
+        return self._passes[number]
+
+    def _received(self, number: int, stated: LearnedRecording | None) -> ReceivedPass:
+        """Return a pass as the compensator received it, with the wrenches that a state counts. Raises NotRecorded."""
+        pose, wrench = (self._pass(number).topic(name).last() for name in ("tool_pose", "wrench"))
         end = wrench.step.size if stated is None else stated.wrenches
         received = ReceivedPass(pose.stamp_ns, pose.values[:, :3].copy(), wrench.stamp_ns[:end], wrench.values[:end])
         there = received.pose_ns.size, received.wrench_ns.size
@@ -173,7 +177,7 @@ class Revisions:
             if experienced or (last is None and place is None):
                 raise NotRecorded("the reference trajectory follows from passes in other recordings", elsewhere=True)
             known = known[-1:] if last is not None else []
-            start = place if last is None else self._passes[last].number
+            start = place if last is None else self._pass(last).number
             rebuilt.resume(self.graph.published[start or 0], state.finished)
         for number, named in known:
             rebuilt.revise(self._record(number, named))

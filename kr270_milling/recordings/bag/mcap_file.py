@@ -256,6 +256,7 @@ class McapFile:
                     if at == self._end:
                         return
                     whole.seek(at)  # an attachment may have been read meanwhile
+                return  # behind a footer, which other bytes follow
             except UNREADABLE as error:
                 begin, reason = self._limit(at), "these bytes are not a whole record"
                 self._file.seek(at)

@@ -633,6 +633,23 @@ def bends(seed: int) -> tuple[Trajectory, Trajectory]:
     return target, target.with_position(path + 30 * UM * np.sin(path / 7e-3 + [1.0, 2.0, 3.0]))
 
 
+@pytest.mark.parametrize("seed", range(4))
+def test_a_spline_that_ends_with_its_module_keeps_to_the_planned_path(tmp_path, seed):
+    """A spline that continues behind the module would miss the knots before the end by up to 131 um."""
+    target, run = bends(seed)
+    program = Program(motion="SPLINE", tolerance=5 * UM, line_limit=110)
+    _, knots, _ = write(tmp_path, program, target, run)
+    robot = Robot(tmp_path, "MILLING_CMP")
+    place, step = 1e-3 * robot.column("XYZ"), np.linalg.norm(np.diff(run.position, axis=0), axis=1)
+    way = np.append(0.0, np.cumsum(step))
+    assert len(robot.rests) > 1 + np.count_nonzero(target.standing[1:])
+    for first, last in pairwise([0, *(np.array(robot.rests) - 1)]):
+        inner = np.arange(knots[first], knots[last] + 1)
+        joined = CubicSpline(way[knots[first : last + 1]], place[first : last + 1], 0, "natural")
+        gap = np.linalg.norm(joined(way[inner]) - run.position[inner], axis=1)
+        assert gap.max() < program.tolerance + 0.1 * UM
+
+
 @pytest.mark.parametrize("seed", range(20))
 def test_arcs_replace_points_and_the_reader_of_foreign_krl_finds_all_knots_on_them(tmp_path, seed):
     """An arc turns by 5 to 180 deg; the reader has chords of 2 um. A tool that turns, or SPLINE, has no arcs."""

@@ -311,6 +311,15 @@ def test_a_pass_of_a_folder_is_recomputed_alone_and_its_revision_where_no_earlie
             assert [same for _, _, same in compensate_recording(tmp_path / name)] == [True]
 
 
+def test_a_state_after_a_pass_that_cannot_be_used_is_not_compared(tmp_path):
+    """Two deflections have the stamp of the start; the first pass is in another recording."""
+    messages = [m for m in files_of("linear", NAMES)[1] for _ in range(1 + (m.topic == "deflection"))]
+    result = recompute(made.write(tmp_path / "r", messages, cell=made.cell_text("linear")))
+    reasons = [stop["reason"] for stop in result.stops]
+    assert result.verdict == "incomplete" and any("2 passes have one start" in reason for reason in reasons)
+    assert "the reference trajectory follows from a pass that was not recorded" in reasons
+
+
 def test_a_method_that_is_chosen_between_two_passes_starts_from_the_named_pass(tmp_path):
     """As ``run`` does: the reference of ``spline`` follows from the original pass, not from that of ``linear``."""
     compensator, files = made.CompensatorProtocol(made.cell_of()), {}
