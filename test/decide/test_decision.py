@@ -126,7 +126,7 @@ def test_the_only_unknown_has_the_whole_band_and_a_measurement_of_it_brings_ever
 
 
 def test_six_robots_know_the_shares_of_many_within_a_fifth(tmp_path):
-    part = small_part(tmp_path, GCODE, *MOVING, "cutting.detail=engagement")
+    part = small_part(tmp_path, SHORTER, *MOVING, "cutting.detail=engagement")
     few, many = ({row.name: row.share for row in limits(part, path_of(part).target, n)} for n in (6, 24))
     largest = [name for name, share in many.items() if share > 0.1]
     assert len(largest) > 1
@@ -142,7 +142,7 @@ def test_a_method_is_recommended_only_where_methods_were_compared():
 
 def run(directory, capsys, *words: str):
     """Run ``compensate`` once: its exit code, what it prints for a reader, its JSON, its programs and their headers."""
-    sets = settings(*assignments(directory, SHORTER, *MOVING))
+    sets = settings(*assignments(directory, SHORTER, *MOVING, "cutting.detail=engagement"))
     code, text, result, _ = printed(capsys, "compensate", "paper.yaml", "--out", str(directory / "out"), *sets, *words)
     programs = list((directory / "out").rglob("*.src"))
     headers = [" ".join(re.findall(r"^; (.*)$", path.read_text(), re.MULTILINE)) for path in programs]
@@ -200,7 +200,7 @@ def test_best_writes_the_path_as_programmed_where_no_method_helps(tmp_path, monk
 
 
 def test_best_takes_learned_only_with_a_tracker(tmp_path, few_robots):
-    cell = small_part(tmp_path, SHORTER, *MOVING, "compensation.method=best")
+    cell = small_part(tmp_path, SHORTER, *MOVING, "compensation.method=best", "cutting.detail=engagement")
     original = simulate(cell)
     result = compare_methods(cell, original)
     assert set(result.deviations) == {"none", "spline", "inverse", "robust"}
@@ -458,7 +458,7 @@ def test_with_the_inertia_of_the_arm_the_verdict_recommends_the_lifted_model(cel
 
 
 def test_the_linear_model_ranks_the_methods_of_a_tool_path_as_passes_do(tmp_path, few_robots):
-    part = small_part(tmp_path, GCODE, *MOVING)
+    part = small_part(tmp_path, GCODE, *MOVING, "cutting.detail=engagement")
     target, original = path_of(part).target, simulate(part)
     made = {m: compensator(part, target, m).revise(record_of(part, original)) for m in ("linear", "mirror", "inverse")}
     references = [target, *made.values()]

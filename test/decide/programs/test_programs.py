@@ -9,6 +9,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from arm_oracle import pinocchio_arm
+from budget import LONG
 from krl_robot import NUMBER, Robot
 from samples.small_part import GCODE, small_part, swayed
 from scipy.interpolate import CubicSpline, make_interp_spline
@@ -630,7 +631,7 @@ def bends(seed: int) -> tuple[Trajectory, Trajectory]:
     return target, target.with_position(path + 30 * UM * np.sin(path / 7e-3 + [1.0, 2.0, 3.0]))
 
 
-@pytest.mark.parametrize("seed", range(20))
+@pytest.mark.parametrize("seed", range(20 if LONG else 6))
 def test_arcs_replace_points_and_the_reader_of_foreign_krl_finds_all_knots_on_them(tmp_path, seed):
     """An arc turns by 5 to 180 deg; the reader has chords of 2 um. A tool that turns, or SPLINE, has no arcs."""
     target, run = bends(seed)
