@@ -248,7 +248,7 @@ def _obstacles(workpiece: Workpiece, stock: Stock) -> list[tuple[str, tuple[np.n
 
 def _nearest(start: np.ndarray, end: np.ndarray, distance: Callable[..., np.ndarray], *body: np.ndarray) -> np.ndarray:
     """Return the least distance(points, *body) [m] of segments, ends (..., 3), from convex bodies, (...,)."""
-    low, high, way = 0.0, 1.0, end - start
+    low, high, way = np.zeros(1), np.ones(1), end - start
     for _ in range(12):  # (2/3)^12: 1 % of the length, whose error in the distance is of second order
         first, second = low + (high - low) / 3.0, high - (high - low) / 3.0
         near, far = (distance(start + share * way, *body)[..., None] for share in (first, second))
