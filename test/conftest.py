@@ -10,7 +10,6 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # a shell sets this for b
     signal.signal(signal.SIGINT, signal.default_int_handler)  # the tested programs must receive it
 
 import contextlib
-import copy
 import io
 import json
 import subprocess
@@ -133,21 +132,6 @@ def every_json_answer():
     """A key without a row in guide/contributing/json.md fails the test that runs the command."""
     with every_answer_is_in_the_table():
         yield
-
-
-@pytest.fixture(scope="session", autouse=True)
-def each_yaml_text_is_parsed_once():
-    """Save 7 ms of each cell that a test reads: most read the same files."""
-    from kr270_milling.base import parameter_file
-
-    parse, trees = parameter_file.parse, {}
-
-    def parsed(text: str, file, key: str):
-        if text not in trees:
-            trees[text] = parse(text, file, key)
-        return copy.deepcopy(trees[text])
-
-    parameter_file.parse = parsed
 
 
 @pytest.fixture

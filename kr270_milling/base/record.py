@@ -141,8 +141,10 @@ class Spec:
             return whole and abs(value) < 2**63 and self.low <= value <= self.high and value > self.above
         if self.kind not in (float, np.ndarray):
             return True
-        values = np.atleast_1d(np.asarray(value, float))
         low, high, above = self.low * self.scale, self.high * self.scale, self.above * self.scale
+        if isinstance(value, float):
+            return math.isfinite(value) and low <= value <= high and value > above
+        values = np.atleast_1d(np.asarray(value, float))
         return bool(np.all(np.isfinite(values) & (values >= low) & (values <= high) & (values > above)))
 
 
@@ -215,8 +217,12 @@ class Record:
     """
 
     def __post_init__(self):
+        self._check_values(vars(self))
+
+    def _check_values(self, names: typing.Container[str]) -> None:
         for spec in specs(type(self)):
-            object.__setattr__(self, spec.name, spec.checked(getattr(self, spec.name)))
+            if spec.name in names:
+                vars(self)[spec.name] = spec.checked(vars(self)[spec.name])
         self.check()
 
     def check(self) -> None:
@@ -252,7 +258,9 @@ class Record:
             section = getattr(self, name)
             if isinstance(value, dict) and isinstance(section, Record):
                 changes[name] = section.replace(**value)
-        copy = dataclasses.replace(self, **changes)
+        copy = object.__new__(type(self))
+        vars(copy).update({name: vars(self)[name] for name in names} | changes)
+        copy._check_values(changes)  # the others are checked
         return _keep(copy, {name: value for name, value in _given(self).items() if name not in changes})
 
 

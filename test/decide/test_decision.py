@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from hostile import printed, settings
-from samples.small_part import GCODE, assignments, small_part
+from samples.small_part import CORNER, GCODE, assignments, small_part
 
 from kr270_milling.base.column import as_dict
 from kr270_milling.base.errors import ConfigError, ParameterError
@@ -69,8 +69,6 @@ def test_a_feature_tolerance_that_cannot_be_meant_is_refused(text):
 # --- The three levels, and the method that ``best`` writes ---
 MOVING = ("dynamics.reference_inertia=true", "dynamics.damping_ratio=0.04", "dynamics.mass_model=rigid")
 UM = 1e-6
-#: the corner alone: 0.5 s of milling
-SHORTER = "G21 G90 S8000 M3\nG0 X-14 Y0 Z2\nG0 Z-0.5\nG1 X4 F4000\nG1 Y6\nG0 Z2\nM5\nM30\n"
 
 
 def judgement(error: float, tolerance: float) -> Judgement:
@@ -126,7 +124,7 @@ def test_the_only_unknown_has_the_whole_band_and_a_measurement_of_it_brings_ever
 
 
 def test_six_robots_know_the_shares_of_many_within_a_fifth(tmp_path):
-    part = small_part(tmp_path, GCODE, *MOVING, "cutting.detail=engagement")
+    part = small_part(tmp_path, CORNER, *MOVING, "cutting.detail=engagement")
     few, many = ({row.name: row.share for row in limits(part, path_of(part).target, n)} for n in (6, 24))
     largest = [name for name, share in many.items() if share > 0.1]
     assert len(largest) > 1
@@ -142,7 +140,7 @@ def test_a_method_is_recommended_only_where_methods_were_compared():
 
 def run(directory, capsys, *words: str):
     """Run ``compensate`` once: its exit code, what it prints for a reader, its JSON, its programs and their headers."""
-    sets = settings(*assignments(directory, SHORTER, *MOVING))
+    sets = settings(*assignments(directory, CORNER, *MOVING, "cutting.detail=engagement"))
     code, text, result, _ = printed(capsys, "compensate", "paper.yaml", "--out", str(directory / "out"), *sets, *words)
     programs = list((directory / "out").rglob("*.src"))
     headers = [" ".join(re.findall(r"^; (.*)$", path.read_text(), re.MULTILINE)) for path in programs]
@@ -200,7 +198,7 @@ def test_best_writes_the_path_as_programmed_where_no_method_helps(tmp_path, monk
 
 
 def test_best_takes_learned_only_with_a_tracker(tmp_path, few_robots):
-    cell = small_part(tmp_path, SHORTER, *MOVING, "compensation.method=best")
+    cell = small_part(tmp_path, CORNER, *MOVING, "compensation.method=best", "cutting.detail=engagement")
     original = simulate(cell)
     result = compare_methods(cell, original)
     assert set(result.deviations) == {"none", "spline", "inverse", "robust"}
@@ -458,7 +456,7 @@ def test_with_the_inertia_of_the_arm_the_verdict_recommends_the_lifted_model(cel
 
 
 def test_the_linear_model_ranks_the_methods_of_a_tool_path_as_passes_do(tmp_path, few_robots):
-    part = small_part(tmp_path, GCODE, *MOVING)
+    part = small_part(tmp_path, GCODE, *MOVING, "cutting.detail=engagement")
     target, original = path_of(part).target, simulate(part)
     made = {m: compensator(part, target, m).revise(record_of(part, original)) for m in ("linear", "mirror", "inverse")}
     references = [target, *made.values()]

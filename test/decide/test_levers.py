@@ -4,7 +4,7 @@ import re
 
 import numpy as np
 import pytest
-from samples.small_part import GCODE, assignments, small_part, swayed
+from samples.small_part import CORNER, GCODE, assignments, small_part, swayed
 
 from kr270_milling.base.errors import InputError, ParameterError
 from kr270_milling.base.frames import TOOL0, Pose, rotation_from_abc, rotation_from_quaternion
@@ -80,7 +80,7 @@ def test_the_first_rows_are_those_of_the_verdict_and_the_cheapest_that_is_enough
     monkeypatch.setattr(module, "ROUNDS", 2)
     monkeypatch.setattr(module, "PLANNED", 4)
     cell = small_part(
-        tmp_path, GCODE, "cutting.detail=engagement", "part.tolerance_um=80", "compensation.method=inverse"
+        tmp_path, CORNER, "cutting.detail=engagement", "part.tolerance_um=80", "compensation.method=inverse"
     )
     progress = []
     rows, chosen = levers(cell, 4, 1, "SPLINE", lambda done, total: progress.append(done / total), turned_cell)
@@ -95,7 +95,7 @@ def test_the_first_rows_are_those_of_the_verdict_and_the_cheapest_that_is_enough
     assert chosen.name not in ("nothing", "correction") and chosen.median == pytest.approx(own.band("compensated")[1])
     assert all(row.duration <= 1.5 * rows[0].duration for row in rows if not row.cell.compensation.finish)
     assert [row.name for row in rows[:2]] == ["nothing", "correction"]
-    again = read_cell(find_file("paper.yaml"), [*assignments(tmp_path, GCODE), *chosen.keys])
+    again = read_cell(find_file("paper.yaml"), [*assignments(tmp_path, CORNER), *chosen.keys])
     assert again.compensation.finish == chosen.cell.compensation.finish
     assert again.timing.jerk == chosen.cell.timing.jerk
 
@@ -238,7 +238,8 @@ def test_feeds_meet_a_linear_load_and_stay_where_the_load_does_not_respond(tmp_p
     assert tried[-1][~cut] == pytest.approx(1.0)
 
 
-def test_a_scheduled_feed_keeps_more_robots_within_the_tolerance_and_its_limits(tmp_path):
+def test_a_scheduled_feed_keeps_more_robots_within_the_tolerance_and_its_limits(tmp_path, monkeypatch):
+    monkeypatch.setattr(module, "PLANNED", 4)
     settings = "cutting.detail=engagement", "part.tolerance_um=60", "limits.cutting_force_n=70"
     plain, cell = (small_part(tmp_path, GCODE, *settings, *more) for more in ((), ["compensation.feed=schedule"]))
     before, after = (compensate(each, "none", robots=4, seed=1) for each in (plain, cell))

@@ -4,7 +4,7 @@ import tempfile
 
 import pytest
 import yaml
-from budget import budget
+from budget import LONG, budget
 from hostile import POSTURE, SHORT, refused, refused_or_sound
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
@@ -84,11 +84,14 @@ def test_what_is_almost_0_is_refused_where_no_numbers_result(place, key):
 
 
 def test_numbers_at_the_edge_of_what_is_allowed_still_end_within_seconds(place):
-    """The bounds of every number with bounds, and almost 0, one at a time; sections that no pass asks are only read."""
+    """The bounds of every number with bounds, and almost 0, one at a time; the usual suite takes every second key.
+
+    Sections that no pass asks are only read.
+    """
     assert refused_or_sound("simulate", write(place, "arm.name", "arm")).code == 0  # the cell itself is sound
     unasked = ("uncertainty.", "limits.", "program.", "compensation.", "publish.")
     kinds, tried = {"number": float, "whole number": int}, 0
-    for row in keys_of():
+    for row in keys_of()[:: 1 if LONG else 2]:
         if row["key"] == "uncertainty.least_backlash":  # its bound is another key
             continue
         above = None if row["above"] is None else row["above"] + 1e-9
@@ -101,4 +104,4 @@ def test_numbers_at_the_edge_of_what_is_allowed_still_end_within_seconds(place):
                 else:
                     refused_or_sound("simulate", cell)
                 tried += 1
-    assert tried > 60
+    assert tried > 40

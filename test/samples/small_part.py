@@ -32,6 +32,8 @@ M30
 SET = (
     "stock.min_mm=[0,-14,-10]", "stock.max_mm=[40,40,0]", "stock.grid_step_um=50", "timing.controller_step_ms=12",
 )  # fmt: skip
+#: the corner alone: 0.5 s of milling
+CORNER = "G21 G90 S8000 M3\nG0 X-14 Y0 Z2\nG0 Z-0.5\nG1 X4 F4000\nG1 Y6\nG0 Z2\nM5\nM30\n"
 #: a slot of a tool that leans by 18 deg, as a program with tool axes
 LEANING = "G21 S8000 M3\nG43.5 H1\nG0 X-9 Y8 Z30 J1 K3\nG0 Z-1\nG1 X9 F600\nM30\n"
 

@@ -12,7 +12,7 @@ COMMON = ("tool.diameter_mm=10", "timing.jerk_m_per_s3=20", "compensation.method
 CELLS = {
     "swarf": ("tool.type=bull_nose", "tool.corner_radius_mm=2", "stock.min_mm=[-15,-12,-8]", "stock.max_mm=[15,1.6,0]"),
     "flat swarf": ("tool.type=flat", "stock.min_mm=[-15,-12,-8]", "stock.max_mm=[15,1.6,0]"),
-    "finish": ("tool.type=ball", "stock.min_mm=[-25,-8,-8]", "stock.max_mm=[25,8,0]"),
+    "finish": ("tool.type=ball", "stock.min_mm=[-12,-8,-8]", "stock.max_mm=[12,8,0]"),
 }
 
 
@@ -45,7 +45,7 @@ def finish() -> Iterable:
     """Three rows 0.3 mm apart, 0.25 to 0.75 mm deep, along x and back, of a ball that leans by 20 deg."""
     wave, axis = math.pi / 20.0, np.array([0.0, math.sin(math.radians(20.0)), math.cos(math.radians(20.0))])
     for row, way in enumerate((1, -1, 1)):
-        for x in np.arange(-32.0, 32.1, 0.5)[::way]:
+        for x in np.arange(-19.0, 19.1, 0.5)[::way]:
             slope = -0.25 * wave * math.sin(wave * x)
             normal = np.array([-slope, 0.0, 1.0]) / math.hypot(slope, 1.0)
             yield np.array([x, 0.3 * (row - 1), 0.25 * math.cos(wave * x) - 0.5]) + 5.0 * (normal - axis), axis

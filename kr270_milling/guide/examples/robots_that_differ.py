@@ -2,7 +2,7 @@
 
 from kr270_milling import compensate, read_cell, verdict
 
-cell = read_cell("paper.yaml", "path.length_mm=40", "stock.max_mm=[40, 12, 0]")
+cell = read_cell("paper.yaml", "path.length_mm=20", "stock.max_mm=[20, 12, 0]")
 reference = compensate(cell, "robust").compensated.reference
 judged = verdict(cell, reference, samples=8)
 print(judged)

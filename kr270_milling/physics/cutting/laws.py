@@ -161,9 +161,15 @@ def _is_law(kind) -> bool:
 
 LAWS |= {point.name: load_as(point, _is_law, "subclass of ForceLaw") for point in registered("force_laws", LAWS)}
 
-for name, law in LAWS.items():
+
+def refuse_fault(name: str, law: type[ForceLaw]) -> None:
+    """Raise ConfigError for a law that cannot be used."""
     if law.fault():
         raise ConfigError(f"force law {name}", "", None, law.fault())
+
+
+for name, law in LAWS.items():
+    refuse_fault(name, law)
 
 
 def _with_laws(record: type) -> type:

@@ -9,6 +9,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from arm_oracle import pinocchio_arm
+from budget import LONG
 from krl_robot import NUMBER, Robot
 from samples.small_part import GCODE, small_part, swayed
 from scipy.interpolate import CubicSpline, make_interp_spline
@@ -650,7 +651,7 @@ def test_a_spline_that_ends_with_its_module_keeps_to_the_planned_path(tmp_path, 
         assert gap.max() < program.tolerance + 0.1 * UM
 
 
-@pytest.mark.parametrize("seed", range(20))
+@pytest.mark.parametrize("seed", range(20 if LONG else 6))
 def test_arcs_replace_points_and_the_reader_of_foreign_krl_finds_all_knots_on_them(tmp_path, seed):
     """An arc turns by 5 to 180 deg; the reader has chords of 2 um. A tool that turns, or SPLINE, has no arcs."""
     target, run = bends(seed)

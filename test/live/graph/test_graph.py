@@ -154,20 +154,24 @@ def whole_passes(out: Path) -> list[Path]:
     return [file.parent for file in sorted(out.glob("*/metadata.yaml"), key=lambda file: file.stat().st_mtime)]
 
 
-def test_a_second_graph_is_refused_and_the_first_continues_on_this_host_until_a_signal(
+def test_of_runs_at_once_and_later_one_continues_on_this_host_until_a_signal_and_the_others_are_refused(
     ros_environment, tmp_path, capsys
 ):
-    out, words = tmp_path / "a", run_words(tmp_path / "a", "--passes", "1000", sets=MANY)
-    with running([*CLI, *words], ros_environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as first:
+    ends = {"environment": ros_environment, "stdout": subprocess.DEVNULL, "stderr": subprocess.PIPE, "text": True}
+    words = {name: [*CLI, *run_words(tmp_path / name, "--passes", "1000", sets=MANY)] for name in "ab"}
+    with running(words["a"], **ends) as one, running(words["b"], **ends) as other:
+        wait_until(lambda: {one.poll(), other.poll()} != {None}, "no run is refused")
+        (refused, first, out) = (one, other, tmp_path / "b") if other.poll() is None else (other, one, tmp_path / "a")
+        assert refused.wait() == 2 and "already runs in this ROS domain" in refused.stderr.read()
         wait_until(lambda: whole_passes(out), "no pass ends")
         pids = nodes_of(out)
         assert sorted(pids) == sorted(NODES) and len(set(pids.values())) == 2
         for pid in (*pids.values(), first.pid):
             assert {socket.laddr.ip for socket in psutil.Process(pid).net_connections()} == {"127.0.0.1"}
-        assert main(run_words(tmp_path / "b", "--passes", "1")) == 2
+        assert main(run_words(tmp_path / "c", "--passes", "1")) == 2
         errors = capsys.readouterr().err
         assert "already runs in this ROS domain" in errors and errors.count("\n") == 1
-        assert not list((tmp_path / "b" / "log").iterdir())  # messages of its nodes would reach the first graph
+        assert not list((tmp_path / "c" / "log").iterdir())  # messages of its nodes would reach the first graph
         done = len(whole_passes(out))  # the pass in which the other graph came up is the next
         wait_until(lambda: len(whole_passes(out)) > done + 1, "no further pass ends")
         first.send_signal(signal.SIGHUP)  # as SIGTERM
@@ -178,16 +182,6 @@ def test_a_second_graph_is_refused_and_the_first_continues_on_this_host_until_a_
     assert len(whole) > done and all(pass_from_recording(path)[1].messages_lost == 0 for path in whole)
     with Recording(last) as recording:
         assert not recording.cut_off
-
-
-def test_of_two_runs_at_once_one_continues_and_the_other_is_refused(ros_environment, tmp_path):
-    ends = {"environment": ros_environment, "stdout": subprocess.DEVNULL, "stderr": subprocess.PIPE, "text": True}
-    words = [[*CLI, *run_words(tmp_path / name, "--passes", "1")] for name in "ab"]
-    with running(words[0], **ends) as one, running(words[1], **ends) as other:
-        errors = {process.communicate(timeout=LIMIT)[1]: process.returncode for process in (one, other)}
-    assert sorted(errors.values()) == [0, 2]
-    (refused,) = (text for text, code in errors.items() if code == 2)
-    assert "already runs in this ROS domain" in refused
 
 
 def test_a_namespace_with_one_process_a_node_is_not_disturbed_by_a_graph_of_the_same_names(

@@ -254,7 +254,7 @@ def test_the_cut_answers_a_tool_that_sinks(tmp_path):
     assert before.min() > 30 * UM and after.max() < 1 * UM
 
 
-def test_robust_equals_inverse_without_uncertainty_and_is_better_in_the_mean_of_other_robots(cell):
+def test_robust_equals_inverse_without_uncertainty_and_is_better_in_the_mean_of_other_robots(cell, few_robots):
     """Robots with a soft base and a lag of 10 to 20 Hz, other ones than it planned for."""
     moving = cell.replace(compensation=cell.compensation.replace(criterion="least_squares"))
     numbers = {k: 0.0 for k, v in vars(cell.uncertainty).items() if isinstance(v, float) and k != "reference_inertia"}

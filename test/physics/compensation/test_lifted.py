@@ -120,7 +120,7 @@ def test_the_least_mean_square_over_robots_has_no_slope_in_any_direction_that_th
 @pytest.mark.parametrize("smooth", [True, False])
 def test_windows_of_the_path_find_the_least_mean_square_of_the_whole_path(smooth, monkeypatch):
     """6 s before and after each window of 4 s: modes of 36 rad/s with a damping of 4 % decay to 2e-4."""
-    segments, m = Segments(np.arange(601) * 50_000_000, 4), 600
+    segments, m = Segments(np.arange(401) * 50_000_000, 4), 400
     conditions = KnotConditions(smooth, np.arange(m + 1) == 250, np.zeros(m, bool))
     deviation = np.random.default_rng(6).normal(0.0, 20e-6, (3, m, 4, 3))
     robots = [(arm.cut(np.zeros(m, int)), one) for arm, one in zip(ROBOTS, deviation, strict=True)]

@@ -24,7 +24,7 @@ KNOWN = (
 )  # fmt: skip
 FEW = [
     *(f"uncertainty.{key}=0.0" for key in KNOWN), "uncertainty.end_share=[]", "uncertainty.servo_frequency_hz=[]",
-    "uncertainty.tool_wear=1.0",
+    "uncertainty.tool_wear=1.0", "cutting.detail=engagement",
 ]  # fmt: skip
 
 
