@@ -140,7 +140,10 @@ def arm_model(
     """
     rows = {f.name: [getattr(model, f.name) for model in models] for f in dataclasses.fields(ModalModel)}
     every = ModalModel(**{name: np.stack(values) for name, values in rows.items() if values[0] is not None})
-    a, b, p, q = map(np.ascontiguousarray, discretise(every, damping_ratio, period))
+    a, b, p, q = (
+        np.ascontiguousarray(matrix.swapaxes(-1, -2)).swapaxes(-1, -2)  # as ``ArmModel.arrays`` wants them
+        for matrix in discretise(every, damping_ratio, period)
+    )
     response = np.zeros((*a.shape[:2], 0))
     if reference_inertia:
         response = discretise_reference(every, damping_ratio, period)

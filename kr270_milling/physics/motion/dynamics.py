@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import dataclasses
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -91,11 +92,12 @@ class ArmModel:
     approach: np.ndarray | None = None  #: r' before the pass [m/s, rad/s], (6,); None: the first of the reference
     gaps: Gaps = NO_GAPS  #: backlash of the joints, whose displacement joins the deflection
 
-    @property
+    @cached_property
     def arrays(self) -> tuple:
-        """Arguments of ``advance``."""
-        gaps = self.gaps.arrays
-        return self.transition, self.input, self.output, self.feedthrough, self.steps_per_knot, gaps
+        """Arguments of ``advance``: transposed matrices, whose sums over columns take vector instructions."""
+        matrices = (self.transition, self.input, self.output, self.feedthrough)
+        turned = (np.ascontiguousarray(matrix.swapaxes(-1, -2)) for matrix in matrices)
+        return *turned, self.steps_per_knot, self.gaps.arrays
 
     def push(
         self, reference: Trajectory, stamps: np.ndarray, first: int = 0, positions: np.ndarray | None = None
@@ -320,16 +322,22 @@ def _between(step, steps_per_knot, n):
 
 
 @inlined
+def _add(matrices, k, m, f, vector, total):
+    """Add the product of a transposed matrix between postures k and m and a vector."""
+    for j in range(matrices.shape[1]):
+        for i in range(total.size):
+            a = matrices[k, j, i]
+            total[i] += (a + f * (matrices[m, j, i] - a)) * vector[j]
+
+
+@inlined
 def swing_freely(step, state, arrays, free):
     """Fill ``free`` (2r,): A x, the part of ``advance`` that is the same under every wrench."""
     transition = arrays[0]
     k, m, f = _between(step, arrays[4], transition.shape[0])
     for i in range(free.size):
-        total = 0.0
-        for j in range(free.size):
-            a = transition[k, i, j]
-            total += (a + f * (transition[m, i, j] - a)) * state[j]
-        free[i] = total
+        free[i] = 0.0
+    _add(transition, k, m, f, state, free)
 
 
 @inlined
@@ -339,21 +347,13 @@ def drive(step, free, state, wrench, push, arrays, new_state, deflection):
     k, m, f = _between(step, steps_per_knot, driven.shape[0])
     order = free.size
     for i in range(order):
-        total = free[i]
-        for j in range(6):
-            b = driven[k, i, j]
-            total += (b + f * (driven[m, i, j] - b)) * wrench[j]
-        if push.shape[0] > 0:
-            total += push[i]
-        new_state[i] = total
+        new_state[i] = free[i]
+    _add(driven, k, m, f, wrench, new_state[:order])
+    for i in range(push.size):
+        new_state[i] += push[i]
     for i in range(6):
-        total = 0.0
-        for j in range(order):
-            p = output[k, i, j]
-            total += (p + f * (output[m, i, j] - p)) * new_state[j]
-        for j in range(6):
-            q = feedthrough[k, i, j]
-            total += (q + f * (feedthrough[m, i, j] - q)) * wrench[j]
-        deflection[i] = total
+        deflection[i] = 0.0
+    _add(output, k, m, f, new_state[:order], deflection)
+    _add(feedthrough, k, m, f, wrench, deflection)
     if gaps[0].shape[0] > 0:
         cross_gaps(step, state[order:], wrench, gaps, new_state[order:], deflection)

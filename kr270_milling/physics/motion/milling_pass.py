@@ -31,9 +31,9 @@ SERIES: dict[str, tuple[int, ...]] = {
     "correction": (), "torque": (), "volume": (),
 }  # fmt: skip
 MANY = 100_000  #: exchange periods of a long pass, 7 min at 4 ms
-#: exchange periods that a long pass of the mean force makes at once while the cut is steady. The tool is then less than
-#: ``STEADY`` [m] from the chord of its way, the change of the force moves it by less than that, and it sinks or rises by
-#: less than six times as much
+#: exchange periods that a long pass of the mean force makes at once while the cut is steady: the tool is less than
+#: ``STEADY`` [m] from the chord of its way, the change of the force moves it by less than that, and it sinks or rises
+#: by less than six times as much
 TOGETHER, STEADY = 8, 0.4e-6
 FLIGHT = 0.05  # [m]; an arm that is linear about its posture is no model of one that is pushed so far
 
