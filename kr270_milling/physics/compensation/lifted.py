@@ -78,9 +78,12 @@ class Lifted:
     @functools.cached_property
     def _matrices(self) -> tuple[np.ndarray, ...]:
         """Outputs, transitions, given and free numbers of the segments."""
-        step = transitions(self._arm, self._segments) * self._unit / self._unit[: 2 * self.order + 9, None]
+        first, run = self._arm.runs(self._segments.duration)
+        arm = self._arm.cut(first)
+        some = Segments(np.append(0, np.cumsum(np.diff(self._segments.time_ns)[first])), self._segments.parts)
+        step = transitions(arm, some) * self._unit / self._unit[: 2 * self.order + 9, None]
         chosen = choices(self._arm, self._segments, self._conditions, self._unit)
-        return outputs(self._arm, self._segments) * self._unit, step, *chosen
+        return (outputs(arm, some) * self._unit)[run], step[run], *chosen
 
     def least_squares(
         self, deviation: np.ndarray, weight: np.ndarray, smoothness: float
