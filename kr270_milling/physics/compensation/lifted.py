@@ -204,20 +204,27 @@ def _backward(cost, step, from_state, free, bend, later, policy, factor):
     # one number at a time where no matrix is multiplied: Numba compiles an assignment of arrays, and ``solve``, for
     # seconds each
     size, count, width = later.shape[0], policy.shape[1], step.shape[2]
-    both = np.zeros((width, size + count))
+    both, total = np.zeros((width, size + count)), np.zeros((size + count, size + count))
     for k in range(len(step) - 1, -1, -1):
-        bent = False
+        bent, plain = False, True  # plain: y is the state and three free numbers, and ``both`` changes nothing
         for i in range(width):
             for j in range(size):
                 both[i, j] = from_state[k, i, j]
+                plain &= both[i, j] == (1.0 if i == j else 0.0)
             for j in range(count):
                 both[i, size + j] = free[k, i, j]
+                plain &= free[k, i, j] == (1.0 if i == size + j else 0.0)
                 bent |= free[k, i, j] != 0.0
         inner = step[k].T @ (later @ step[k])
         for i in range(width):
             for j in range(width):
                 inner[i, j] += cost[k, i, j]
-        total = both.T @ (inner @ both)
+        if not plain:
+            total = both.T @ (inner @ both)
+        else:
+            for i in range(size + count):
+                for j in range(size + count):
+                    total[i, j] = inner[i, j] if max(i, j) < width else 0.0
         if bent:
             for i in range(size + count):
                 for j in range(size + count):
