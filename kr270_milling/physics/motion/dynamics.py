@@ -111,7 +111,7 @@ class ArmModel:
             return np.zeros((0, self.order))
         out = np.zeros((stamps.size - 1, self.order))
         motion = reference_motion(reference, stamps, self.approach, first, positions)
-        push(motion, self.reference, self.steps_per_knot, first, out)
+        push(motion, np.ascontiguousarray(self.reference.swapaxes(-1, -2)), self.steps_per_knot, first, out)
         return out
 
     @property
@@ -282,10 +282,10 @@ def _turning(reference: Trajectory, stamps: np.ndarray, side: Side) -> np.ndarra
 def push(motion, response, steps_per_knot, first, out):
     """Fill ``out`` (n, 2r): what the motion (n, 18) of the reference adds to the state at the end of each period.
 
-    first: number of the first period; response: R, (k, 2r, 18) at k postures, interpolated between two of them as in
-    ``advance``.
+    first: number of the first period; response: R transposed, (k, 18, 2r) at k postures, interpolated between two of
+    them as in ``advance``.
     """
-    knots, order = response.shape[0], response.shape[1]
+    knots, order = response.shape[0], response.shape[2]
     for step in range(motion.shape[0]):
         place = (first + step) / steps_per_knot
         k = min(int(place), knots - 1)
@@ -296,8 +296,8 @@ def push(motion, response, steps_per_knot, first, out):
         for j in range(motion.shape[1]):
             if motion[step, j] != 0.0:  # most references do not turn, and have corners in few periods
                 for i in range(order):
-                    r = response[k, i, j]
-                    out[step, i] += (r + f * (response[m, i, j] - r)) * motion[step, j]
+                    r = response[k, j, i]
+                    out[step, i] += (r + f * (response[m, j, i] - r)) * motion[step, j]
 
 
 @njit(cache=True, error_model="numpy", nogil=True)

@@ -90,7 +90,7 @@ def test_between_two_postures_matrices_and_responses_go_in_a_straight_line_and_s
         np.testing.assert_allclose(deflection, mixed[2] @ out + mixed[3] @ WRENCH, rtol=1e-12, atol=1e-18)
     rng = np.random.default_rng(4)
     response, motion, obtained = rng.normal(size=(3, 4, 18)), rng.normal(size=(11, 18)), np.empty((11, 4))
-    push(motion, response, 4.0, 0, obtained)
+    push(motion, np.ascontiguousarray(response.swapaxes(1, 2)), 4.0, 0, obtained)
     between = interpolate.make_interp_spline(np.arange(3), response, 1)(np.minimum(np.arange(11) / 4.0, 2.0))
     np.testing.assert_allclose(obtained, np.einsum("nij,nj->ni", between, motion), rtol=1e-12)
 
