@@ -101,7 +101,7 @@ class Trajectory:
 
     def sample(self, time_ns) -> np.ndarray:
         """Return the position [m], (..., 3), at times [ns] of any shape."""
-        if np.ndim(time_ns) == 1 and len(time_ns) > BLOCK:
+        if np.size(time_ns) > BLOCK:
             return self._sampled(time_ns, False)
         k, u, step = self.locate(time_ns)
         start, move = self.position[k], self.position[k + 1] - self.position[k]
@@ -114,7 +114,7 @@ class Trajectory:
 
         side: at a corner, "right" is the velocity of the later segment, "left" of the earlier one.
         """
-        if np.ndim(time_ns) == 1 and len(time_ns) > BLOCK:
+        if np.size(time_ns) > BLOCK:
             return self._sampled(time_ns, True, side == "left")
         k, u, step = self.locate(time_ns, side)
         move = self.position[k + 1] - self.position[k]
@@ -132,12 +132,12 @@ class Trajectory:
         return (2 * (3 * move - 2 * v0 - v1) + 6 * u * (v0 + v1 - 2 * move)) / step**2
 
     def _sampled(self, time_ns, rate: bool, left: bool = False) -> np.ndarray:
-        """``sample`` or ``sample_velocity`` at many times (n,), in compiled code."""
-        time = np.asarray(time_ns, np.int64)
+        """``sample`` or ``sample_velocity`` at many times, in compiled code."""
+        time = np.ravel(np.asarray(time_ns, np.int64))
         samples, none = np.zeros((time.size, 3)), np.zeros((0, 3))
         velocity = none if self.velocity is None else self.velocity
         _fill_samples(self.time_ns, self.position, velocity, time, rate, left, samples)
-        return samples
+        return samples.reshape(*np.shape(time_ns), 3)
 
     @cached_property
     def travelled(self) -> np.ndarray:

@@ -145,7 +145,12 @@ def interpolation_error(folder, spacing_mm: float) -> float:
     worst = 0.0
     for step, mode in zip(steps, modes, strict=True):
         knot, part = divmod(step / model.steps_per_knot, 1.0)
-        soft = static(*(a[int(knot)] + part * (a[int(knot) + 1] - a[int(knot)]) for a in model.arrays[:4]))
+        soft = static(
+            *(
+                a[int(knot)] + part * (a[int(knot) + 1] - a[int(knot)])
+                for a in (model.transition, model.input, model.output, model.feedthrough)
+            )
+        )
         exact = static(*discretise(mode, cell.dynamics.damping_ratio, path_of(cell).clock.period))
         worst = max(worst, np.abs(soft - exact).max() / np.abs(exact).max())
     return worst

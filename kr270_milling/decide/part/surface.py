@@ -445,16 +445,24 @@ def _owners(x, y, height, path: Stations, target: np.ndarray, radius: float, lev
     reach = 0.25 * radius
     rise = np.abs(path.tangent[:, 2])
     slack = np.where(rise < 0.5, rise * reach, 0.0) + 2.0 * level  # a plunge leaves its floor at the last point
-    for k in _stations(path, target, reach):
-        cx, cy, z = target[k]
-        if z > top + level:
-            continue
-        i, j = (slice(*np.searchsorted(axis, [c - radius, c + radius])) for axis, c in ((x, cx), (y, cy)))
-        near = (x[i, None] - cx) ** 2 + (y[None, j] - cy) ** 2 < radius**2
-        near &= np.abs(height[i, j] - z) <= slack[k]
-        owner[i, j][near] = path.feature[k]
+    _fill_owners(x, y, height, target, slack, path.feature, _stations(path, target, reach), radius, top + level, owner)
     _, nearest = distance_transform_edt(owner < 0, return_indices=True)
     return np.where(height < top - 0.5 * level, owner[tuple(nearest)], -1)  # slivers between two of these places
+
+
+@njit(cache=True, nogil=True)
+def _fill_owners(x, y, height, target, slack, feature, stations, radius, highest, owner):
+    """Write the feature of each station that is as high as a node below the tool; highest [m]: of a station."""
+    for k in stations:
+        if target[k, 2] > highest:
+            continue
+        first_i, last_i = np.searchsorted(x, target[k, 0] - radius), np.searchsorted(x, target[k, 0] + radius)
+        first_j, last_j = np.searchsorted(y, target[k, 1] - radius), np.searchsorted(y, target[k, 1] + radius)
+        for i in range(first_i, last_i):
+            for j in range(first_j, last_j):
+                away = (x[i] - target[k, 0]) ** 2 + (y[j] - target[k, 1]) ** 2
+                if away < radius**2 and abs(height[i, j] - target[k, 2]) <= slack[k]:
+                    owner[i, j] = feature[k]
 
 
 def _drilled(x, y, height, bottoms: np.ndarray, radius: float, slack: float) -> np.ndarray:

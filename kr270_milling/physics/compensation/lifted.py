@@ -78,9 +78,12 @@ class Lifted:
     @functools.cached_property
     def _matrices(self) -> tuple[np.ndarray, ...]:
         """Outputs, transitions, given and free numbers of the segments."""
-        step = transitions(self._arm, self._segments) * self._unit / self._unit[: 2 * self.order + 9, None]
+        first, run = self._arm.runs(self._segments.duration)
+        arm = self._arm.cut(first)
+        some = Segments(np.append(0, np.cumsum(np.diff(self._segments.time_ns)[first])), self._segments.parts)
+        step = transitions(arm, some) * self._unit / self._unit[: 2 * self.order + 9, None]
         chosen = choices(self._arm, self._segments, self._conditions, self._unit)
-        return outputs(self._arm, self._segments) * self._unit, step, *chosen
+        return (outputs(arm, some) * self._unit)[run], step[run], *chosen
 
     def least_squares(
         self, deviation: np.ndarray, weight: np.ndarray, smoothness: float
@@ -201,20 +204,27 @@ def _backward(cost, step, from_state, free, bend, later, policy, factor):
     # one number at a time where no matrix is multiplied: Numba compiles an assignment of arrays, and ``solve``, for
     # seconds each
     size, count, width = later.shape[0], policy.shape[1], step.shape[2]
-    both = np.zeros((width, size + count))
+    both, total = np.zeros((width, size + count)), np.zeros((size + count, size + count))
     for k in range(len(step) - 1, -1, -1):
-        bent = False
+        bent, plain = False, True  # plain: y is the state and three free numbers, and ``both`` changes nothing
         for i in range(width):
             for j in range(size):
                 both[i, j] = from_state[k, i, j]
+                plain &= both[i, j] == (1.0 if i == j else 0.0)
             for j in range(count):
                 both[i, size + j] = free[k, i, j]
+                plain &= free[k, i, j] == (1.0 if i == size + j else 0.0)
                 bent |= free[k, i, j] != 0.0
         inner = step[k].T @ (later @ step[k])
         for i in range(width):
             for j in range(width):
                 inner[i, j] += cost[k, i, j]
-        total = both.T @ (inner @ both)
+        if not plain:
+            total = both.T @ (inner @ both)
+        else:
+            for i in range(size + count):
+                for j in range(size + count):
+                    total[i, j] = inner[i, j] if max(i, j) < width else 0.0
         if bent:
             for i in range(size + count):
                 for j in range(size + count):

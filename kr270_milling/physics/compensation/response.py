@@ -241,6 +241,22 @@ class ArmResponse:
         frequency, damping = self.frequency / model.frequency, self.damping / model.damping
         return ArmFactors(frequency[0], damping[0], self.gain / model.gain, self.softness / model.softness)
 
+    def runs(self, time: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The first of equal segments in a row, and the number of the row of each segment, (m,); time [s], (m,): of
+        each. A controller has even steps, and a posture is that of many steps."""
+        new = np.append(True, np.diff(time) != 0.0)
+        for rows in (self.frequency, self.damping, self.inward, self.outward, self.carry):
+            flat = rows.reshape(len(rows), -1)
+            new[1:] |= (flat[1:] != flat[:-1]).any(axis=1)
+        return np.flatnonzero(new), np.cumsum(new) - 1
+
+    def responses(self, time: np.ndarray) -> tuple[np.ndarray, ...]:
+        """``free`` and ``forced`` at times (m, t) [s], computed once for equal segments in a row."""
+        first, run = self.runs(time[:, 0])
+        some, time = self.cut(first), time[first]
+        free = some.free(time)
+        return tuple(values[run] for values in (*free, *some.forced(time, free)))
+
     def free(self, time: np.ndarray) -> tuple[np.ndarray, ...]:
         """h11, h12, h21, h22, (m, t, r), at times (m, t) [s] from the start of each segment."""
         return _free(self.frequency[:, None], self.damping[:, None], time[..., None])
@@ -274,22 +290,21 @@ class ArmResponse:
             arm, block = self.cut(part), segments.cut(part)
             start = arm.starts(block.duration[:, None], cubic[part], approach, state)[:, :, None]
             place, approach = block.place, _end_speed(block.duration[-1:, None], cubic[part][-1:])[0]
-            free = arm.free(place)
-            forced = arm.forced(place, free)
+            response = arm.responses(place)
             bend, jerk = (np.einsum("mrd,md->mr", arm.inward, cubic[part, i])[:, None] for i in (2, 3))
-            u = free[0] * start[:, 0] + free[1] * start[:, 1] + forced[0] * bend + forced[1] * jerk
+            u = response[0] * start[:, 0] + response[1] * start[:, 1] + response[4] * bend + response[5] * jerk
             swung[part] = u @ np.swapaxes(arm.outward, 1, 2)
         return swung
 
     def starts(self, duration: np.ndarray, cubic: np.ndarray, approach: np.ndarray, state: np.ndarray) -> np.ndarray:
         """u and u' at the start of each segment, (m, 2, r); state (2, r): those before, becomes those after."""
-        response = self.free(duration)
-        forced = tuple(f[:, 0] for f in self.forced(duration, response))
+        response = tuple(f[:, 0] for f in self.responses(duration))
+        forced = response[4:]
         bend, jerk = (np.einsum("mrd,md->mr", self.inward, cubic[:, i]) for i in (2, 3))
         before = np.vstack([approach, _end_speed(duration, cubic)[:-1]])
         corner = np.einsum("mrd,md->mr", self.inward, before - cubic[:, 1])
         added = np.stack([forced[0] * bend + forced[1] * jerk, forced[2] * bend + forced[3] * jerk], axis=1)
-        free = np.stack([h[:, 0] for h in response], axis=1)
+        free = np.stack(response[:4], axis=1)
         return _march(free, added, corner, self.carry, 1, state)[0]
 
     def deflect(self, segments: Segments, wrench: np.ndarray) -> np.ndarray:
@@ -300,7 +315,7 @@ class ArmResponse:
         for part in segments.blocks():
             arm, step = self.cut(part), segments.cut(part).duration[:, None] / parts
             static = np.einsum("mrd,mpd->mpr", arm.push, wrench[part]) / arm.frequency[:, None] ** 2
-            free = np.stack([h[:, 0] for h in arm.free(step)], axis=1)
+            free = np.stack([h[:, 0] for h in arm.responses(step)[:4]], axis=1)
             added = np.stack([(1.0 - free[:, None, 0]) * static, -free[:, None, 2] * static], axis=2)
             steps = np.repeat(free, parts, axis=0), added.reshape(-1, 2, self.order)
             corner = np.zeros((len(steps[0]), self.order))

@@ -140,14 +140,18 @@ def arm_model(
     """
     rows = {f.name: [getattr(model, f.name) for model in models] for f in dataclasses.fields(ModalModel)}
     every = ModalModel(**{name: np.stack(values) for name, values in rows.items() if values[0] is not None})
-    a, b, p, q = map(np.ascontiguousarray, discretise(every, damping_ratio, period))
+    a, b, p, q = discretise(every, damping_ratio, period)
     response = np.zeros((*a.shape[:2], 0))
     if reference_inertia:
         response = discretise_reference(every, damping_ratio, period)
     if every.tool is not None:
         share = -math.expm1(-period / revolution) if revolution else 1.0
         a, b, p, response = _with_tool(a, b, p, response, every.tool, share)
-    return ArmModel(a, b, p, q, np.ascontiguousarray(response), float(steps_per_knot), approach)
+    # in memory as the loops of a pass take them, see ``ArmModel.arrays``
+    a, b, p, q, response = (
+        np.ascontiguousarray(matrix.swapaxes(-1, -2)).swapaxes(-1, -2) for matrix in (a, b, p, q, response)
+    )
+    return ArmModel(a, b, p, q, response, float(steps_per_knot), approach)
 
 
 def _with_tool(a, b, p, response, tool: np.ndarray, share: float) -> tuple[np.ndarray, ...]:

@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import dataclasses
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -91,11 +92,12 @@ class ArmModel:
     approach: np.ndarray | None = None  #: r' before the pass [m/s, rad/s], (6,); None: the first of the reference
     gaps: Gaps = NO_GAPS  #: backlash of the joints, whose displacement joins the deflection
 
-    @property
+    @cached_property
     def arrays(self) -> tuple:
-        """Arguments of ``advance``."""
-        gaps = self.gaps.arrays
-        return self.transition, self.input, self.output, self.feedthrough, self.steps_per_knot, gaps
+        """Arguments of ``advance``: transposed matrices, whose sums over columns take vector instructions."""
+        matrices = (self.transition, self.input, self.output, self.feedthrough)
+        turned = (np.ascontiguousarray(matrix.swapaxes(-1, -2)) for matrix in matrices)
+        return *turned, self.steps_per_knot, self.gaps.arrays
 
     def push(
         self, reference: Trajectory, stamps: np.ndarray, first: int = 0, positions: np.ndarray | None = None
@@ -109,7 +111,7 @@ class ArmModel:
             return np.zeros((0, self.order))
         out = np.zeros((stamps.size - 1, self.order))
         motion = reference_motion(reference, stamps, self.approach, first, positions)
-        push(motion, self.reference, self.steps_per_knot, first, out)
+        push(motion, np.ascontiguousarray(self.reference.swapaxes(-1, -2)), self.steps_per_knot, first, out)
         return out
 
     @property
@@ -280,10 +282,10 @@ def _turning(reference: Trajectory, stamps: np.ndarray, side: Side) -> np.ndarra
 def push(motion, response, steps_per_knot, first, out):
     """Fill ``out`` (n, 2r): what the motion (n, 18) of the reference adds to the state at the end of each period.
 
-    first: number of the first period; response: R, (k, 2r, 18) at k postures, interpolated between two of them as in
-    ``advance``.
+    first: number of the first period; response: R transposed, (k, 18, 2r) at k postures, interpolated between two of
+    them as in ``advance``.
     """
-    knots, order = response.shape[0], response.shape[1]
+    knots, order = response.shape[0], response.shape[2]
     for step in range(motion.shape[0]):
         place = (first + step) / steps_per_knot
         k = min(int(place), knots - 1)
@@ -294,8 +296,8 @@ def push(motion, response, steps_per_knot, first, out):
         for j in range(motion.shape[1]):
             if motion[step, j] != 0.0:  # most references do not turn, and have corners in few periods
                 for i in range(order):
-                    r = response[k, i, j]
-                    out[step, i] += (r + f * (response[m, i, j] - r)) * motion[step, j]
+                    r = response[k, j, i]
+                    out[step, i] += (r + f * (response[m, j, i] - r)) * motion[step, j]
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
@@ -320,16 +322,22 @@ def _between(step, steps_per_knot, n):
 
 
 @inlined
+def _add(matrices, k, m, f, vector, total):
+    """Add the product of a transposed matrix between postures k and m and a vector."""
+    for j in range(matrices.shape[1]):
+        for i in range(total.size):
+            a = matrices[k, j, i]
+            total[i] += (a + f * (matrices[m, j, i] - a)) * vector[j]
+
+
+@inlined
 def swing_freely(step, state, arrays, free):
     """Fill ``free`` (2r,): A x, the part of ``advance`` that is the same under every wrench."""
     transition = arrays[0]
     k, m, f = _between(step, arrays[4], transition.shape[0])
     for i in range(free.size):
-        total = 0.0
-        for j in range(free.size):
-            a = transition[k, i, j]
-            total += (a + f * (transition[m, i, j] - a)) * state[j]
-        free[i] = total
+        free[i] = 0.0
+    _add(transition, k, m, f, state, free)
 
 
 @inlined
@@ -339,21 +347,13 @@ def drive(step, free, state, wrench, push, arrays, new_state, deflection):
     k, m, f = _between(step, steps_per_knot, driven.shape[0])
     order = free.size
     for i in range(order):
-        total = free[i]
-        for j in range(6):
-            b = driven[k, i, j]
-            total += (b + f * (driven[m, i, j] - b)) * wrench[j]
-        if push.shape[0] > 0:
-            total += push[i]
-        new_state[i] = total
+        new_state[i] = free[i]
+    _add(driven, k, m, f, wrench, new_state[:order])
+    for i in range(push.size):
+        new_state[i] += push[i]
     for i in range(6):
-        total = 0.0
-        for j in range(order):
-            p = output[k, i, j]
-            total += (p + f * (output[m, i, j] - p)) * new_state[j]
-        for j in range(6):
-            q = feedthrough[k, i, j]
-            total += (q + f * (feedthrough[m, i, j] - q)) * wrench[j]
-        deflection[i] = total
+        deflection[i] = 0.0
+    _add(output, k, m, f, new_state[:order], deflection)
+    _add(feedthrough, k, m, f, wrench, deflection)
     if gaps[0].shape[0] > 0:
         cross_gaps(step, state[order:], wrench, gaps, new_state[order:], deflection)

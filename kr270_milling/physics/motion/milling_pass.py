@@ -31,8 +31,9 @@ SERIES: dict[str, tuple[int, ...]] = {
     "correction": (), "torque": (), "volume": (),
 }  # fmt: skip
 MANY = 100_000  #: exchange periods of a long pass, 7 min at 4 ms
-#: exchange periods that a long pass of the mean force makes at once while the cut is steady. The tool is then less than
-#: ``STEADY`` [m] from the chord of its way, and the change of the force moves it by less than that
+#: exchange periods that a long pass of the mean force makes at once while the cut is steady: the tool is less than
+#: ``STEADY`` [m] from the chord of its way, the change of the force moves it by less than that, and it sinks or rises
+#: by less than six times as much
 TOGETHER, STEADY = 8, 0.4e-6
 FLIGHT = 0.05  # [m]; an arm that is linear about its posture is no model of one that is pushed so far
 
@@ -173,10 +174,13 @@ def _exchange(
     per_node = p.spacing * p.spacing
     states, free = np.zeros((2, state.size)), np.zeros(arrays[0].shape[1])
     answer, no_forces = wrench.copy(), np.empty((0, 3))
+    given, here = np.zeros((2, tool.shape[1])), 0  # poses for the cut, before and after; number of the row before
+    for j in range(tool.shape[1]):
+        given[0, j] = tool[first - window, j]
     n, count, cuts = first, 1, False
     while n < last:
         count, row = min(count, last - n), n - window
-        end, before, torque, steady = row + count, s.floats[LEVEL_SUM], 0.0, True
+        end, before, torque, steady = row + count, s.floats[LEVEL_SUM], 0.0, False
         for k in range(iterations):
             _swing(n, count, state, answer, pushes, row, arrays, states, free, deflections)  # the robot predicts
             for i in range(row + 1, end + 1):
@@ -184,6 +188,7 @@ def _exchange(
                     tool[i, j] = reference[i, j] + (deflections[i, j] if j < 3 else 0.0)
             if not max(abs(deflections[end, 0]), abs(deflections[end, 1]), abs(deflections[end, 2])) <= FLIGHT:
                 return True  # a sweep over metres would not end; the caller refuses this deflection
+            steady = count == 1 or abs(tool[end, 2] - tool[row, 2]) < 6.0 * STEADY  # a move leaves a level floor
             for i in range(1, count):
                 steady = steady and not silent[row + i] and not silent[end]
                 for j in range(3):
@@ -193,10 +198,15 @@ def _exchange(
                 break
             if k > 0 and not cut_undo(s, teeth, mean):
                 return False
+            for j in range(tool.shape[1]):
+                given[1 - here, j] = tool[end, j]
+            if count > 1:  # a tool that sinks is as low as at the end of a step: then as in the middle
+                given[1 - here, 2] += 0.5 * max(tool[row, 2] - tool[end, 2], 0.0)
+            start, to = given[here], given[1 - here]
             if teeth is not None:  # the cut answers
-                torque = sweep(s, p, tool[row], tool[end], n * micro_steps, micro_steps, no_forces, answer)
+                torque = sweep(s, p, start, to, n * micro_steps, micro_steps, no_forces, answer)
             if mean is not None:
-                torque = engage(s, p, p.flat, p.profile, p.tilts, tool[row], tool[end], count * micro_steps, answer)
+                torque = engage(s, p, p.flat, p.profile, p.tilts, start, to, count * micro_steps, answer)
             if silent[end]:
                 torque = 0.0
                 for j in range(6):
@@ -219,7 +229,7 @@ def _exchange(
             for j in range(6):
                 answer[j] = wrench[j]
             continue
-        cuts = removed > 0.0
+        cuts, here = removed > 0.0, 1 - here
         for j in range(6):
             wrench[j] = answer[j]
         for j in range(state.size):  # one by one: Numba compiles the sentence on shapes of a slice for seconds

@@ -188,9 +188,10 @@ def _along(arm: Arm, mount: Mount, path: Pose, seed: np.ndarray) -> np.ndarray:
     beta, radius = elbow_and_reach(arm, first)
     row = (0 if radius >= 0 else 4) + (0 if _wrapped(beta) <= 0 else 2)  # in BRANCHES, with A5 > 0
     flange = path @ mount.pose.inverse()
-    q = np.empty((len(path.position), 6))
+    position, rotation = map(np.ascontiguousarray, (flange.position, flange.rotation))
+    q = np.empty((len(position), 6))
     q[0] = first
-    lost, distance = _follow(lengths_of(arm), row, *map(np.ascontiguousarray, (flange.position, flange.rotation)), q)
+    lost, distance = _follow(lengths_of(arm), row, position, rotation, q)
     if lost:
         raise ReachError(distance, _reach(arm), (lost,))
     return q

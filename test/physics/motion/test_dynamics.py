@@ -81,13 +81,16 @@ def test_between_two_postures_matrices_and_responses_go_in_a_straight_line_and_s
     for step in range(14):
         place = min(step / 4.0, 2.0)
         k = min(int(place), 1)
-        mixed = [(1 - place + k) * m[k] + (place - k) * m[k + 1] for m in arm.arrays[:4]]
+        mixed = [
+            (1 - place + k) * m[k] + (place - k) * m[k + 1]
+            for m in (arm.transition, arm.input, arm.output, arm.feedthrough)
+        ]
         advance(step, state, WRENCH, np.zeros(0), arm.arrays, out, deflection)
         np.testing.assert_allclose(out, mixed[0] @ state + mixed[1] @ WRENCH, rtol=1e-12, atol=1e-18)
         np.testing.assert_allclose(deflection, mixed[2] @ out + mixed[3] @ WRENCH, rtol=1e-12, atol=1e-18)
     rng = np.random.default_rng(4)
     response, motion, obtained = rng.normal(size=(3, 4, 18)), rng.normal(size=(11, 18)), np.empty((11, 4))
-    push(motion, response, 4.0, 0, obtained)
+    push(motion, np.ascontiguousarray(response.swapaxes(1, 2)), 4.0, 0, obtained)
     between = interpolate.make_interp_spline(np.arange(3), response, 1)(np.minimum(np.arange(11) / 4.0, 2.0))
     np.testing.assert_allclose(obtained, np.einsum("nij,nj->ni", between, motion), rtol=1e-12)
 
