@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from kr270_milling.base.errors import MillingError
-from kr270_milling.physics.cutting.cut_step import cut_poses, cut_undo
+from kr270_milling.physics.cutting.cut_step import cut_undo, engage, sweep_teeth
 from kr270_milling.physics.cutting.engagement import (
     BINS,
     EngagementParams,
@@ -43,7 +43,7 @@ class CutModel:
 
     params: Params | EngagementParams
     state: State | EngagementState
-    #: arguments of ``cut_poses``: True for the model of this cut, None for the other
+    #: arguments of ``cut_undo``: True for the model of this cut, None for the other
     teeth: bool | None
     mean: bool | None
     tilts = False  #: poses have the axis of the tool after the position of its tip, (6,)
@@ -72,18 +72,7 @@ class CutModel:
         self._make_room(n, math.dist(start[:3].tolist(), end[:3].tolist()))
         wrench, torque, volume = np.empty((2, 6)), np.empty(2), np.empty(2)
         steps = np.array([first, first + n], np.int64)
-        cut_poses(
-            self.state,
-            self.params,
-            self.teeth,
-            self.mean,
-            np.array([start, end]),
-            steps,
-            forces,
-            wrench,
-            torque,
-            volume,
-        )
+        self._cut(self.params, np.array([start, end]), steps, forces, (wrench, torque, volume))
         self.refuse_failure()
         self.torque = float(torque[1])
         return wrench[1]
@@ -102,12 +91,16 @@ class CutModel:
         positions, steps = self.poses(positions, axes), np.ascontiguousarray(steps, np.int64)
         wrench, torque, volume = np.zeros((len(positions), 6)), np.zeros(len(positions)), np.zeros(len(positions))
         params = self.params if predicted else self.final_params
-        cut_poses(self.state, params, self.teeth, self.mean, positions, steps, NO_FORCES, wrench, torque, volume)
+        self._cut(params, positions, steps, NO_FORCES, (wrench, torque, volume))
         self.refuse_failure()
         return wrench, torque, volume
 
+    def _cut(self, params, poses: np.ndarray, steps: np.ndarray, forces: np.ndarray, out: tuple) -> None:
+        """Cut from each pose to the next, reached at micro-steps (n,); out: see ``engage``."""
+        raise NotImplementedError
+
     def poses(self, positions: np.ndarray, axes: np.ndarray | None) -> np.ndarray:
-        """Return the rows that ``cut_poses`` takes: positions (n, 3) [m]; with the axes (n, 3) where the tool tilts."""
+        """Return the rows that a cut takes: positions (n, 3) [m]; with the axes (n, 3) where the tool tilts."""
         if not self.tilts:
             return np.ascontiguousarray(positions, float)
         upright = np.broadcast_to([0.0, 0.0, 1.0], np.shape(positions))
@@ -231,6 +224,9 @@ class Cut(CutModel):
             if size > self.undo_size:
                 self.state = self.state._replace(**make_log(size))
 
+    def _cut(self, params, poses: np.ndarray, steps: np.ndarray, forces: np.ndarray, out: tuple) -> None:
+        sweep_teeth(self.state, params, poses, steps, forces, *out)
+
     @property
     def undo_size(self) -> int:
         return self.state.log_level.size - LANES  # the vector step writes that far beyond the last node
@@ -264,6 +260,9 @@ class EngagementCut(CutModel):
         self.tilts = tilts
         self.params = make_engagement_params(tool, cutting, stock, micro_step, bins, give, tilts, bounce)
         self.state = make_engagement_state(self.params, stock)
+
+    def _cut(self, params, poses: np.ndarray, steps: np.ndarray, forces: np.ndarray, out: tuple) -> None:
+        engage(self.state, params, params.flat, params.profile, params.tilts, poses, steps, *out)
 
     def continue_from(self, before: CutModel) -> None:
         super().continue_from(before)

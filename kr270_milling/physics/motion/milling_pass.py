@@ -155,7 +155,11 @@ def _exchange(
     s, p = cut
     per_node = p.spacing * p.spacing
     scratch, free = np.zeros(state.size), np.zeros(arrays[0].shape[1])
-    deflection, answer = np.zeros(6), wrench.copy()
+    deflection, span, turned, removed = np.zeros(6), np.array([0, micro_steps]), np.zeros(2), np.zeros(2)
+    answers = np.zeros((2, 6))
+    answer = answers[1]
+    for j in range(6):
+        answer[j] = wrench[j]
     no_forces, no_push = np.empty((0, 3)), np.zeros(0)
     for n in range(first, last):
         row = n - window
@@ -176,7 +180,8 @@ def _exchange(
             if teeth is not None:  # the cut answers
                 torque = sweep(s, p, tool[row], tool[row + 1], n * micro_steps, micro_steps, no_forces, answer)
             if mean is not None:
-                torque = engage(s, p, p.flat, p.profile, p.tilts, tool[row], tool[row + 1], micro_steps, answer)
+                engage(s, p, p.flat, p.profile, p.tilts, tool[row : row + 2], span, answers, turned, removed)
+                torque = turned[1]
             if silent[row + 1]:
                 torque = 0.0
                 for j in range(6):
