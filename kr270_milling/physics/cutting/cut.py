@@ -238,7 +238,8 @@ class EngagementCut(CutModel):
     stock: with the coarse grid of this model; micro_step [rad]: the unit in which a step counts spindle angle; bins: of
     the angle about the tool; give: displacement of the tip along z in a step by a unit force [m/N], where ``sweep``
     gets predicted poses. ``along`` gets final poses. bounce: ``mean_thrusts`` of the arm, default: the tip is steady. A
-    tool whose end is not flat takes the part of ``revolution``; tilts: the axis of the tool leaves z of the workpiece.
+    tool whose end is not flat takes the part of ``revolution``; tilts: the axis of the tool leaves z of the workpiece;
+    upright: the axis is z of the workpiece in some step that cuts.
     """
 
     params: EngagementParams
@@ -255,14 +256,15 @@ class EngagementCut(CutModel):
         give: float = 0.0,
         tilts: bool = False,
         bounce: np.ndarray | None = None,
+        upright: bool = True,
     ):
         super().__init__(tool, cutting, stock)
         self.tilts = tilts
-        self.params = make_engagement_params(tool, cutting, stock, micro_step, bins, give, tilts, bounce)
+        self.params = make_engagement_params(tool, cutting, stock, micro_step, bins, give, tilts, bounce, upright)
         self.state = make_engagement_state(self.params, stock)
 
     def _cut(self, params, poses: np.ndarray, steps: np.ndarray, forces: np.ndarray, out: tuple) -> None:
-        engage(self.state, params, params.flat, params.profile, params.tilts, poses, steps, *out)
+        engage(self.state, params, params.flat, params.profile, params.tilts, params.upright, poses, steps, *out)
 
     def continue_from(self, before: CutModel) -> None:
         super().continue_from(before)

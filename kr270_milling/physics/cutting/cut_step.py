@@ -49,11 +49,11 @@ def cut_undo(s, teeth, mean):
 
 
 @njit(**{**OPTIONS, "nogil": True})  # several workpieces are cut at once
-def engage(s, p, flat, profile, tilts, poses, steps, wrench, torque, volume):
+def engage(s, p, flat, profile, tilts, upright, poses, steps, wrench, torque, volume):
     """Cut from each pose to the next, straight, with the mean force of the engagement.
 
-    s: state, changed; p: params; flat, profile, tilts: fields of p, by which Numba chooses the parts; poses: (n, 3)
-    [m], workpiece frame, or (n, 6) with the axis after the tip; steps (n,): micro-steps at which they are reached.
+    s: state, changed; p: params; flat, profile, tilts, upright: fields of p, by which Numba chooses the parts; poses:
+    (n, 3) [m], workpiece frame, or (n, 6) with the axis after the tip; steps: micro-steps at which they are reached.
     Fills the rows from 1 on: mean wrench about the tip on the tool (n, 6) [N, N m], mean torque of the spindle (n,)
     [N m], removed volume (n,) [m^3].
     """
@@ -80,18 +80,18 @@ def engage(s, p, flat, profile, tilts, poses, steps, wrench, torque, volume):
             mean[j] = 0.0
         dx, dy, turn = pose_to[0] - pose_from[0], pose_to[1] - pose_from[1], n * p.micro_step
         tilted, way = False, math.sqrt(dx * dx + dy * dy)
-        if tilts is not None and max(slant(pose_from), slant(pose_to)) > UPRIGHT * UPRIGHT:
+        if tilts is not None and (upright is None or max(slant(pose_from), slant(pose_to)) > UPRIGHT * UPRIGHT):
             tilted, dz = True, pose_to[2] - pose_from[2]
             ax, ay, az = pose_to[3] - pose_from[3], pose_to[4] - pose_from[4], pose_to[5] - pose_from[5]
             way = math.sqrt(dx * dx + dy * dy + dz * dz) + SWING * p.radius * math.sqrt(ax * ax + ay * ay + az * az)
         parts = 1 + int(way / (LONGEST * p.radius))
         passes = turn * p.teeth / (2.0 * math.pi) / parts  # of teeth, in a part
-        if tilted:
-            s.load[RISE] = 0.0
-        start = pose_from[2] + s.load[RISE]
-        s.ints[FLOOR_NEAR] = floor_near(s, p, pose_from) if p.give > 0.0 and not tilted else -1
-        s.load[RISE] = rise_of_step(s, p, pose_to[2], passes * parts, p.give * turn / (turn + p.lag))
-        dz = pose_to[2] + s.load[RISE] - start
+        start, rise, s.ints[FLOOR_NEAR] = pose_from[2], 0.0, -1
+        if upright is not None and not tilted:
+            start += s.load[RISE]
+            s.ints[FLOOR_NEAR] = floor_near(s, p, pose_from) if p.give > 0.0 else -1
+            rise = rise_of_step(s, p, pose_to[2], passes * parts, p.give * turn / (turn + p.lag))
+        s.load[RISE], dz = rise, pose_to[2] + rise - start
         moment = height = thrust = 0.0
         for part in range(parts):
             a, b = part / parts, (part + 1.0) / parts
@@ -103,7 +103,7 @@ def engage(s, p, flat, profile, tilts, poses, steps, wrench, torque, volume):
             if profile is not None:
                 used = 2 * p.widths.size, p.profile.length.size - 1
                 motion, frame = (0.0, 0.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-                if not tilted:
+                if upright is not None and not tilted:
                     motion, frame, used = lower_upright(s, p, x0, y0, z0, x1, y1, z1)
                 if tilts is not None and tilted:
                     motion, frame = lower_tilted(s, p, pose_from, pose_to, a, b)

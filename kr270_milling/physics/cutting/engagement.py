@@ -67,7 +67,7 @@ BEYOND = SINES // 4  # further entries at both ends: a crescent and the shift of
 FINE = 1 << 20  # parts of an entry in which the compiled loop counts
 FAR = 1e9  # [nodes], beyond every grid
 LONGEST = 0.25  # share of the radius: a longer move is divided
-UPRIGHT = 1e-7  # [rad], least tilt
+UPRIGHT = 1e-5  # [rad], least tilt; the heel of a flat end of 10 mm then rises by less than a level of a map
 SWING = 4.0  # assumed: radii above the tip, up to which a turn of the axis counts as a move
 RIM = 0.71  # [nodes], half of the widest ramp from an uncovered cell to a covered one: 1 / sqrt(2)
 BLOCK = 16  # nodes, a power of two
@@ -123,6 +123,7 @@ class EngagementParams(NamedTuple):
     flat: bool | None  # True: a flat end and no profile, compiled without ``revolution``
     profile: Profile | None  # None: a flat end
     tilts: bool | None  # True: poses have an axis; None: without it, compiled without ``tilted``
+    upright: bool | None  # None: no step that cuts has an upright axis, compiled without ``lower_upright``
 
 
 class EngagementState(NamedTuple):
@@ -158,12 +159,13 @@ def make_engagement_params(
     give: float = 0.0,
     tilts: bool = False,
     bounce: np.ndarray | None = None,
+    upright: bool = True,
 ) -> EngagementParams:
     """stock: with the coarse step of this model; micro_step [rad]: the unit in which a step counts spindle angle.
 
     bins: K, of a whole turn; half of them are ahead. Below a sinking tool there are SECTORS. give, bounce: as in the
     record; None: the tip does not bounce.
-    tilts: poses have an axis, and a flat end has a profile, too.
+    tilts: poses have an axis, and a flat end has a profile, too; upright: of some steps that cut the axis is upright.
     """
     widest = float(tool.radii.max())
     flat_end = tool.has_flat_end and not tilts
@@ -180,6 +182,7 @@ def make_engagement_params(
         flat=flat_end or None,
         profile=profile,
         tilts=tilts or None,
+        upright=upright or None,
         **tables(widest, stock.grid_step, bins),
     )
 

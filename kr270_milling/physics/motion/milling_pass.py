@@ -180,7 +180,7 @@ def _exchange(
             if teeth is not None:  # the cut answers
                 torque = sweep(s, p, tool[row], tool[row + 1], n * micro_steps, micro_steps, no_forces, answer)
             if mean is not None:
-                engage(s, p, p.flat, p.profile, p.tilts, tool[row : row + 2], span, answers, turned, removed)
+                engage(s, p, p.flat, p.profile, p.tilts, p.upright, tool[row : row + 2], span, answers, turned, removed)
                 torque = turned[1]
             if silent[row + 1]:
                 torque = 0.0
