@@ -97,7 +97,10 @@ class CutModel:
 
     def _cut(self, params, poses: np.ndarray, steps: np.ndarray, forces: np.ndarray, out: tuple) -> None:
         """Cut from each pose to the next, reached at micro-steps (n,); out: see ``engage``."""
-        raise NotImplementedError
+        if self.mean:
+            engage(self.state, params, params.flat, params.profile, params.tilts, params.upright, poses, steps, *out)
+        else:
+            sweep_teeth(self.state, params, poses, steps, forces, *out)
 
     def poses(self, positions: np.ndarray, axes: np.ndarray | None) -> np.ndarray:
         """Return the rows that a cut takes: positions (n, 3) [m]; with the axes (n, 3) where the tool tilts."""
@@ -224,9 +227,6 @@ class Cut(CutModel):
             if size > self.undo_size:
                 self.state = self.state._replace(**make_log(size))
 
-    def _cut(self, params, poses: np.ndarray, steps: np.ndarray, forces: np.ndarray, out: tuple) -> None:
-        sweep_teeth(self.state, params, poses, steps, forces, *out)
-
     @property
     def undo_size(self) -> int:
         return self.state.log_level.size - LANES  # the vector step writes that far beyond the last node
@@ -262,9 +262,6 @@ class EngagementCut(CutModel):
         self.tilts = tilts
         self.params = make_engagement_params(tool, cutting, stock, micro_step, bins, give, tilts, bounce, upright)
         self.state = make_engagement_state(self.params, stock)
-
-    def _cut(self, params, poses: np.ndarray, steps: np.ndarray, forces: np.ndarray, out: tuple) -> None:
-        engage(self.state, params, params.flat, params.profile, params.tilts, params.upright, poses, steps, *out)
 
     def continue_from(self, before: CutModel) -> None:
         super().continue_from(before)

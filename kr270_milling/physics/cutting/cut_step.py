@@ -17,6 +17,8 @@ from kr270_milling.physics.cutting.engagement import (
     FLOOR_NEAR,
     FLOORS_KEPT,
     FLOORS_KNOWN,
+    LAST,
+    LOAD,
     LONGEST,
     RISE,
     SWING,
@@ -28,9 +30,9 @@ from kr270_milling.physics.cutting.engagement import (
     slant,
     undo_engagement,
 )
-from kr270_milling.physics.cutting.revolution import edge_load, empty_bins, lower_upright
+from kr270_milling.physics.cutting.revolution import edge_load, lower_upright
 from kr270_milling.physics.cutting.state import LEVEL_SUM, LOGGED
-from kr270_milling.physics.cutting.sweep import sweep, undo
+from kr270_milling.physics.cutting.sweep import copy_numbers, sweep, undo
 from kr270_milling.physics.cutting.tilted import lower_tilted
 
 
@@ -60,22 +62,17 @@ def engage(s, p, flat, profile, tilts, upright, poses, steps, wrench, torque, vo
     for k in range(1, poses.shape[0]):
         before, pose_from, pose_to, mean = s.floats[LEVEL_SUM], poses[k - 1], poses[k], wrench[k]
         n = steps[k] - steps[k - 1]
-        for j in range(s.ints.size):
-            s.saved_ints[j] = s.ints[j]
-        for j in range(s.floats.size):
-            s.saved_floats[j] = s.floats[j]
+        copy_numbers(s.ints, s.saved_ints)
+        copy_numbers(s.floats, s.saved_floats)
         follows = True  # the tool comes from its last place
-        for j in range(s.last.size):
-            s.saved_last[j] = s.last[j]
-            follows = follows and s.last[j] == pose_from[j]
-        for j in range(s.load.size):
-            s.saved_load[j] = s.load[j]
+        for j in range(pose_from.size):
+            follows = follows and s.floats[LAST + j] == pose_from[j]
         s.ints[LOGGED] = 0
         s.ints[FLOORS_KEPT] = s.ints[FLOORS_KNOWN]
         if not follows:
             s.ints[FLOOR_LEVEL] = -1  # what the footprint of the tool has cut is not known
             s.ints[FLOORS_KNOWN] = s.ints[FLOORS_KEPT] = 0
-            s.load[RISE], s.load[CONTACT] = 0.0, p.teeth * p.end_radius
+            s.floats[RISE], s.floats[CONTACT] = 0.0, p.teeth * p.end_radius
         for j in range(6):
             mean[j] = 0.0
         dx, dy, turn = pose_to[0] - pose_from[0], pose_to[1] - pose_from[1], n * p.micro_step
@@ -88,10 +85,10 @@ def engage(s, p, flat, profile, tilts, upright, poses, steps, wrench, torque, vo
         passes = turn * p.teeth / (2.0 * math.pi) / parts  # of teeth, in a part
         start, rise, s.ints[FLOOR_NEAR] = pose_from[2], 0.0, -1
         if upright is not None and not tilted:
-            start += s.load[RISE]
+            start += s.floats[RISE]
             s.ints[FLOOR_NEAR] = floor_near(s, p, pose_from) if p.give > 0.0 else -1
             rise = rise_of_step(s, p, pose_to[2], passes * parts, p.give * turn / (turn + p.lag))
-        s.load[RISE], dz = rise, pose_to[2] + rise - start
+        s.floats[RISE], dz = rise, pose_to[2] + rise - start
         moment = height = thrust = 0.0
         for part in range(parts):
             a, b = part / parts, (part + 1.0) / parts
@@ -107,9 +104,7 @@ def engage(s, p, flat, profile, tilts, upright, poses, steps, wrench, torque, vo
                     motion, frame, used = lower_upright(s, p, x0, y0, z0, x1, y1, z1)
                 if tilts is not None and tilted:
                     motion, frame = lower_tilted(s, p, pose_from, pose_to, a, b)
-                if passes == 0.0:
-                    empty_bins(s)
-                elif s.floats[LEVEL_SUM] > removed:
+                if s.floats[LEVEL_SUM] > removed:
                     load = edge_load(s, p, motion, frame, passes, used, tilted, mean)
             moment += load[0]
             height += load[1]
@@ -119,18 +114,18 @@ def engage(s, p, flat, profile, tilts, upright, poses, steps, wrench, torque, vo
         moment /= parts
         if p.moments and not tilted:
             mean[5] = -p.sense * moment
-        for j in range(s.last.size):
-            s.last[j] = pose_to[j]
+        for j in range(pose_to.size):
+            s.floats[LAST + j] = pose_to[j]
         fresh = turn / (turn + p.lag + p.twist * height / parts)
         faded = 1e-3  # [N, N m] of a tool in the air, which ends the lag: a pass counts where its wrench is not 0
         for j in range(6):
-            s.load[j] += fresh * (mean[j] - s.load[j])
-            if mean[j] == 0.0 and abs(s.load[j]) < faded:
-                s.load[j] = 0.0
-            mean[j] = s.load[j]
-        s.load[6] += fresh * (moment - s.load[6])
-        s.load[THRUST] += fresh * (thrust / parts - s.load[THRUST])
-        torque[k] = s.load[6]
+            s.floats[LOAD + j] += fresh * (mean[j] - s.floats[LOAD + j])
+            if mean[j] == 0.0 and abs(s.floats[LOAD + j]) < faded:
+                s.floats[LOAD + j] = 0.0
+            mean[j] = s.floats[LOAD + j]
+        s.floats[LOAD + 6] += fresh * (moment - s.floats[LOAD + 6])
+        s.floats[THRUST] += fresh * (thrust / parts - s.floats[THRUST])
+        torque[k] = s.floats[LOAD + 6]
         volume[k] = (s.floats[LEVEL_SUM] - before) * p.spacing * p.spacing
 
 

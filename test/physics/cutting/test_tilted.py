@@ -150,7 +150,7 @@ def test_a_tilted_step_taken_back_leaves_every_bit_and_the_next_step_unchanged()
 
     def bits():
         state = cut.state
-        return [a.tobytes() for a in (state.pool[:used], state.rest[:used], state.floats, state.load, state.last)]
+        return [a.tobytes() for a in (state.pool[:used], state.rest[:used], state.floats)]
 
     before = bits()
     first = cut.sweep(start, end, 39 * n, n)
