@@ -79,8 +79,9 @@ def cut_of(cell: Cell, rigid: bool = False) -> CutModel:
     cut: CutModel
     common = cell.tool, cell.cutting, cell.stock, cell.exchange.micro_step
     if cell.cutting.by_engagement:
-        bounce = _bounce(arm_of(cell), path_of(cell), cell.cutting)
-        cut = EngagementCut(*common, give=_give(cell), tilts=path_of(cell).tilts, bounce=bounce)
+        path = path_of(cell)
+        bounce = _bounce(arm_of(cell), path, cell.cutting)
+        cut = EngagementCut(*common, give=_give(cell), tilts=path.tilts, bounce=bounce, upright=path.upright)
     else:
         cut = Cut(*common)
     if cell.earlier:

@@ -14,6 +14,7 @@ import numpy as np
 
 from kr270_milling.base.blocks import blocks
 from kr270_milling.base.errors import InputError, ParameterError
+from kr270_milling.base.frames import tool_axis
 from kr270_milling.cell.arm import PlacedArm
 from kr270_milling.cell.sections import PathSection
 from kr270_milling.path.timing import TimedPath, Timing, limit_by_joints, time_path
@@ -217,7 +218,8 @@ class StraightCut(_Programmed):
     by_teeth = True  #: each tooth is swept
     fed = None  #: the tool path under the limits of the controller alone
     tilts = False  #: the axis of the tool leaves z of the workpiece while it cuts
-    lean = 0.0
+    lean = 0.0  #: [rad], largest angle between the tool and z of the workpiece in any move
+    upright = True  #: it is z of the workpiece along some block that cuts
     drills = False  #: the program has a drilling cycle
     mills = True  #: the program cuts in more than drilling cycles
 
@@ -342,6 +344,13 @@ class ProgramPath(_Programmed):
         """Return the largest angle between the tool and z of the workpiece in any move [rad], 0 up to ``UPRIGHT``."""
         lean = float(self.fed.toolpath.tilt.max())
         return lean if lean > UPRIGHT else 0.0
+
+    @property
+    def upright(self) -> bool:
+        """Return whether the axis of the tool is z of the workpiece along some block that cuts."""
+        path = self.fed.toolpath
+        level = tool_axis(path.quaternion)[:, 2] > math.cos(UPRIGHT)
+        return bool((level[1:] & level[:-1] & ~path.rapid[1:]).any())
 
     @property
     def drills(self) -> bool:

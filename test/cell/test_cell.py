@@ -279,5 +279,5 @@ def test_a_tilted_tool_is_refused_by_the_model_that_does_not_know_its_tilt_and_t
             assert path_of(table(tmp_path, detail=detail, **turned)).target
         assert caught.value.line in (2, 3)
     cell = table(tmp_path, c=210.0)
-    assert cell.cutting.by_engagement and path_of(cell).tilts and cut_of(cell).tilts
+    assert cell.cutting.by_engagement and path_of(cell).tilts and cut_of(cell).tilts and not path_of(cell).upright
     assert np.ptp(path_of(table(tmp_path, a=30.0, c=180.9)).target.position[:, 0]) == pytest.approx(32e-3)

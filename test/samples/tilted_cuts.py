@@ -111,7 +111,7 @@ def measured(tool: Tool, cutting: Cutting, tilt, sides, depth=2e-3, dt=4e-3, gri
     """
     axis, n = axis_of(tilt), round(SPEED * dt / MICRO_STEP)
     stock = Stock(min=np.array([0.0, sides[0], -12e-3]), max=np.array([32e-3, sides[1], 0.0]), grid_step=grid_step)
-    cut = EngagementCut(tool, cutting, stock, MICRO_STEP, bins, tilts=any(tilt))
+    cut = EngagementCut(tool, cutting, stock, MICRO_STEP, bins, tilts=any(tilt), upright=not any(tilt))
     step = VELOCITY * n * MICRO_STEP / SPEED
     x = np.arange(-3.0 * RADIUS, 18e-3, step)
     path = np.column_stack([x, 0.0 * x, 0.0 * x - depth - lowest(tool, axis)])
@@ -133,7 +133,7 @@ def ramp_error(tool: Tool, cutting: Cutting, tilt, slope: float, dt=4e-3) -> flo
     """
     axis, n, side = axis_of(tilt), round(SPEED * dt / MICRO_STEP), 12e-3
     stock = Stock(min=np.array([0.0, -side, -14e-3]), max=np.array([40e-3, side, 0.0]), grid_step=1e-4)
-    cut = EngagementCut(tool, cutting, stock, MICRO_STEP, tilts=any(tilt))
+    cut = EngagementCut(tool, cutting, stock, MICRO_STEP, tilts=any(tilt), upright=not any(tilt))
     size, down = VELOCITY * n * MICRO_STEP / SPEED, math.radians(slope)
     step = size * np.array([math.cos(down), 0.0, -math.sin(down)])
     way = np.arange(-12e-3, 1e-3, size)

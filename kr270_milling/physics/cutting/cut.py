@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from kr270_milling.base.errors import MillingError
-from kr270_milling.physics.cutting.cut_step import cut_poses, cut_undo
+from kr270_milling.physics.cutting.cut_step import cut_undo, engage, sweep_teeth
 from kr270_milling.physics.cutting.engagement import (
     BINS,
     EngagementParams,
@@ -43,7 +43,7 @@ class CutModel:
 
     params: Params | EngagementParams
     state: State | EngagementState
-    #: arguments of ``cut_poses``: True for the model of this cut, None for the other
+    #: arguments of ``cut_undo``: True for the model of this cut, None for the other
     teeth: bool | None
     mean: bool | None
     tilts = False  #: poses have the axis of the tool after the position of its tip, (6,)
@@ -72,18 +72,7 @@ class CutModel:
         self._make_room(n, math.dist(start[:3].tolist(), end[:3].tolist()))
         wrench, torque, volume = np.empty((2, 6)), np.empty(2), np.empty(2)
         steps = np.array([first, first + n], np.int64)
-        cut_poses(
-            self.state,
-            self.params,
-            self.teeth,
-            self.mean,
-            np.array([start, end]),
-            steps,
-            forces,
-            wrench,
-            torque,
-            volume,
-        )
+        self._cut(self.params, np.array([start, end]), steps, forces, (wrench, torque, volume))
         self.refuse_failure()
         self.torque = float(torque[1])
         return wrench[1]
@@ -102,12 +91,19 @@ class CutModel:
         positions, steps = self.poses(positions, axes), np.ascontiguousarray(steps, np.int64)
         wrench, torque, volume = np.zeros((len(positions), 6)), np.zeros(len(positions)), np.zeros(len(positions))
         params = self.params if predicted else self.final_params
-        cut_poses(self.state, params, self.teeth, self.mean, positions, steps, NO_FORCES, wrench, torque, volume)
+        self._cut(params, positions, steps, NO_FORCES, (wrench, torque, volume))
         self.refuse_failure()
         return wrench, torque, volume
 
+    def _cut(self, params, poses: np.ndarray, steps: np.ndarray, forces: np.ndarray, out: tuple) -> None:
+        """Cut from each pose to the next, reached at micro-steps (n,); out: see ``engage``."""
+        if self.mean:
+            engage(self.state, params, params.flat, params.profile, params.tilts, params.upright, poses, steps, *out)
+        else:
+            sweep_teeth(self.state, params, poses, steps, forces, *out)
+
     def poses(self, positions: np.ndarray, axes: np.ndarray | None) -> np.ndarray:
-        """Return the rows that ``cut_poses`` takes: positions (n, 3) [m]; with the axes (n, 3) where the tool tilts."""
+        """Return the rows that a cut takes: positions (n, 3) [m]; with the axes (n, 3) where the tool tilts."""
         if not self.tilts:
             return np.ascontiguousarray(positions, float)
         upright = np.broadcast_to([0.0, 0.0, 1.0], np.shape(positions))
@@ -242,7 +238,8 @@ class EngagementCut(CutModel):
     stock: with the coarse grid of this model; micro_step [rad]: the unit in which a step counts spindle angle; bins: of
     the angle about the tool; give: displacement of the tip along z in a step by a unit force [m/N], where ``sweep``
     gets predicted poses. ``along`` gets final poses. bounce: ``mean_thrusts`` of the arm, default: the tip is steady. A
-    tool whose end is not flat takes the part of ``revolution``; tilts: the axis of the tool leaves z of the workpiece.
+    tool whose end is not flat takes the part of ``revolution``; tilts: the axis of the tool leaves z of the workpiece;
+    upright: the axis is z of the workpiece in some step that cuts.
     """
 
     params: EngagementParams
@@ -259,10 +256,11 @@ class EngagementCut(CutModel):
         give: float = 0.0,
         tilts: bool = False,
         bounce: np.ndarray | None = None,
+        upright: bool = True,
     ):
         super().__init__(tool, cutting, stock)
         self.tilts = tilts
-        self.params = make_engagement_params(tool, cutting, stock, micro_step, bins, give, tilts, bounce)
+        self.params = make_engagement_params(tool, cutting, stock, micro_step, bins, give, tilts, bounce, upright)
         self.state = make_engagement_state(self.params, stock)
 
     def continue_from(self, before: CutModel) -> None:

@@ -10,13 +10,15 @@ import math
 
 from numba import njit
 
-from kr270_milling.physics.cutting.compiled import compiled, inner
+from kr270_milling.physics.cutting.compiled import OPTIONS, compiled
 from kr270_milling.physics.cutting.engagement import (
     CONTACT,
     FLOOR_LEVEL,
     FLOOR_NEAR,
     FLOORS_KEPT,
     FLOORS_KNOWN,
+    LAST,
+    LOAD,
     LONGEST,
     RISE,
     SWING,
@@ -28,91 +30,10 @@ from kr270_milling.physics.cutting.engagement import (
     slant,
     undo_engagement,
 )
-from kr270_milling.physics.cutting.revolution import edge_load, empty_bins, lower_upright
+from kr270_milling.physics.cutting.revolution import edge_load, lower_upright
 from kr270_milling.physics.cutting.state import LEVEL_SUM, LOGGED
-from kr270_milling.physics.cutting.sweep import sweep, undo
+from kr270_milling.physics.cutting.sweep import copy_numbers, sweep, undo
 from kr270_milling.physics.cutting.tilted import lower_tilted
-
-
-@inner
-def engage(s, p, flat, profile, tilts, pose_from, pose_to, n, wrench):
-    """Move the tool tip straight from one position to another while the spindle turns by n micro-steps.
-
-    s: state, changed; p: params; flat, profile, tilts: fields of p, by which Numba chooses the parts; positions (3,)
-    [m], workpiece frame, or (6,) with the axis after them; wrench: (6,), filled with the mean force and moment about
-    the tip on the tool [N, N m]. Returns the mean spindle torque [N m].
-    """
-    for j in range(s.ints.size):
-        s.saved_ints[j] = s.ints[j]
-    for j in range(s.floats.size):
-        s.saved_floats[j] = s.floats[j]
-    follows = True  # the tool comes from its last place
-    for j in range(s.last.size):
-        s.saved_last[j] = s.last[j]
-        follows = follows and s.last[j] == pose_from[j]
-    for j in range(s.load.size):
-        s.saved_load[j] = s.load[j]
-    s.ints[LOGGED] = 0
-    s.ints[FLOORS_KEPT] = s.ints[FLOORS_KNOWN]
-    if not follows:
-        s.ints[FLOOR_LEVEL] = -1  # what the footprint of the tool has cut is not known
-        s.ints[FLOORS_KNOWN] = s.ints[FLOORS_KEPT] = 0
-        s.load[RISE], s.load[CONTACT] = 0.0, p.teeth * p.end_radius
-    for j in range(6):
-        wrench[j] = 0.0
-    dx, dy, turn = pose_to[0] - pose_from[0], pose_to[1] - pose_from[1], n * p.micro_step
-    tilted, way = False, math.sqrt(dx * dx + dy * dy)
-    if tilts is not None and max(slant(pose_from), slant(pose_to)) > UPRIGHT * UPRIGHT:
-        tilted, dz = True, pose_to[2] - pose_from[2]
-        ax, ay, az = pose_to[3] - pose_from[3], pose_to[4] - pose_from[4], pose_to[5] - pose_from[5]
-        way = math.sqrt(dx * dx + dy * dy + dz * dz) + SWING * p.radius * math.sqrt(ax * ax + ay * ay + az * az)
-    parts = 1 + int(way / (LONGEST * p.radius))
-    passes = turn * p.teeth / (2.0 * math.pi) / parts  # of teeth, in a part
-    if tilted:
-        s.load[RISE] = 0.0
-    start = pose_from[2] + s.load[RISE]
-    s.ints[FLOOR_NEAR] = floor_near(s, p, pose_from) if p.give > 0.0 and not tilted else -1
-    s.load[RISE] = rise_of_step(s, p, pose_to[2], passes * parts, p.give * turn / (turn + p.lag))
-    dz = pose_to[2] + s.load[RISE] - start
-    torque = height = thrust = 0.0
-    for k in range(parts):
-        a, b = k / parts, (k + 1.0) / parts
-        x0, y0, z0 = pose_from[0] + a * dx, pose_from[1] + a * dy, start + a * dz
-        x1, y1, z1 = pose_from[0] + b * dx, pose_from[1] + b * dy, start + b * dz
-        part, removed = (0.0, 0.0, 0.0), s.floats[LEVEL_SUM]
-        if flat is not None:
-            part = flat_part(s, p, x0, y0, z0, x1, y1, z1, passes, wrench)
-        if profile is not None:
-            used = 2 * p.widths.size, p.profile.length.size - 1
-            motion, frame = (0.0, 0.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-            if not tilted:
-                motion, frame, used = lower_upright(s, p, x0, y0, z0, x1, y1, z1)
-            if tilts is not None and tilted:
-                motion, frame = lower_tilted(s, p, pose_from, pose_to, a, b)
-            if passes == 0.0:
-                empty_bins(s)
-            elif s.floats[LEVEL_SUM] > removed:
-                part = edge_load(s, p, motion, frame, passes, used, tilted, wrench)
-        torque += part[0]
-        height += part[1]
-        thrust += part[2]
-    for j in range(6):
-        wrench[j] /= parts
-    torque /= parts
-    if p.moments and not tilted:
-        wrench[5] = -p.sense * torque
-    for j in range(s.last.size):
-        s.last[j] = pose_to[j]
-    fresh = turn / (turn + p.lag + p.twist * height / parts)
-    faded = 1e-3  # [N, N m] of a tool in the air, which ends the lag: a pass counts where its wrench is not 0
-    for j in range(6):
-        s.load[j] += fresh * (wrench[j] - s.load[j])
-        if wrench[j] == 0.0 and abs(s.load[j]) < faded:
-            s.load[j] = 0.0
-        wrench[j] = s.load[j]
-    s.load[6] += fresh * (torque - s.load[6])
-    s.load[THRUST] += fresh * (thrust / parts - s.load[THRUST])
-    return s.load[6]
 
 
 @compiled
@@ -129,20 +50,89 @@ def cut_undo(s, teeth, mean):
     return undone
 
 
-@njit(cache=True, error_model="numpy", nogil=True)  # several workpieces are cut at once
-def cut_poses(s, p, teeth, mean, positions, steps, forces, wrench, torque, volume):
-    """Cut from each position (n, 3) [m] to the next, which is reached at micro-steps (n,) counted from the start.
+@njit(**{**OPTIONS, "nogil": True})  # several workpieces are cut at once
+def engage(s, p, flat, profile, tilts, upright, poses, steps, wrench, torque, volume):
+    """Cut from each pose to the next, straight, with the mean force of the engagement.
 
-    s, p: state, changed, and params; teeth, mean: see ``cut_undo``; forces: of each micro-step of a single step, filled
-    by the sweep of the teeth, or NO_FORCES. Fills the rows from 1 on: mean wrench (n, 6) [N, N m], mean torque (n,)
+    s: state, changed; p: params; flat, profile, tilts, upright: fields of p, by which Numba chooses the parts; poses:
+    (n, 3) [m], workpiece frame, or (n, 6) with the axis after the tip; steps: micro-steps at which they are reached.
+    Fills the rows from 1 on: mean wrench about the tip on the tool (n, 6) [N, N m], mean torque of the spindle (n,)
     [N m], removed volume (n,) [m^3].
     """
-    per_node = p.spacing * p.spacing
+    for k in range(1, poses.shape[0]):
+        before, pose_from, pose_to, mean = s.floats[LEVEL_SUM], poses[k - 1], poses[k], wrench[k]
+        n = steps[k] - steps[k - 1]
+        copy_numbers(s.ints, s.saved_ints)
+        copy_numbers(s.floats, s.saved_floats)
+        follows = True  # the tool comes from its last place
+        for j in range(pose_from.size):
+            follows = follows and s.floats[LAST + j] == pose_from[j]
+        s.ints[LOGGED] = 0
+        s.ints[FLOORS_KEPT] = s.ints[FLOORS_KNOWN]
+        if not follows:
+            s.ints[FLOOR_LEVEL] = -1  # what the footprint of the tool has cut is not known
+            s.ints[FLOORS_KNOWN] = s.ints[FLOORS_KEPT] = 0
+            s.floats[RISE], s.floats[CONTACT] = 0.0, p.teeth * p.end_radius
+        for j in range(6):
+            mean[j] = 0.0
+        dx, dy, turn = pose_to[0] - pose_from[0], pose_to[1] - pose_from[1], n * p.micro_step
+        tilted, way = False, math.sqrt(dx * dx + dy * dy)
+        if tilts is not None and (upright is None or max(slant(pose_from), slant(pose_to)) > UPRIGHT * UPRIGHT):
+            tilted, dz = True, pose_to[2] - pose_from[2]
+            ax, ay, az = pose_to[3] - pose_from[3], pose_to[4] - pose_from[4], pose_to[5] - pose_from[5]
+            way = math.sqrt(dx * dx + dy * dy + dz * dz) + SWING * p.radius * math.sqrt(ax * ax + ay * ay + az * az)
+        parts = 1 + int(way / (LONGEST * p.radius))
+        passes = turn * p.teeth / (2.0 * math.pi) / parts  # of teeth, in a part
+        start, rise, s.ints[FLOOR_NEAR] = pose_from[2], 0.0, -1
+        if upright is not None and not tilted:
+            start += s.floats[RISE]
+            s.ints[FLOOR_NEAR] = floor_near(s, p, pose_from) if p.give > 0.0 else -1
+            rise = rise_of_step(s, p, pose_to[2], passes * parts, p.give * turn / (turn + p.lag))
+        s.floats[RISE], dz = rise, pose_to[2] + rise - start
+        moment = height = thrust = 0.0
+        for part in range(parts):
+            a, b = part / parts, (part + 1.0) / parts
+            x0, y0, z0 = pose_from[0] + a * dx, pose_from[1] + a * dy, start + a * dz
+            x1, y1, z1 = pose_from[0] + b * dx, pose_from[1] + b * dy, start + b * dz
+            load, removed = (0.0, 0.0, 0.0), s.floats[LEVEL_SUM]
+            if flat is not None:
+                load = flat_part(s, p, x0, y0, z0, x1, y1, z1, passes, mean)
+            if profile is not None:
+                used = 2 * p.widths.size, p.profile.length.size - 1
+                motion, frame = (0.0, 0.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+                if upright is not None and not tilted:
+                    motion, frame, used = lower_upright(s, p, x0, y0, z0, x1, y1, z1)
+                if tilts is not None and tilted:
+                    motion, frame = lower_tilted(s, p, pose_from, pose_to, a, b)
+                if s.floats[LEVEL_SUM] > removed:
+                    load = edge_load(s, p, motion, frame, passes, used, tilted, mean)
+            moment += load[0]
+            height += load[1]
+            thrust += load[2]
+        for j in range(6):
+            mean[j] /= parts
+        moment /= parts
+        if p.moments and not tilted:
+            mean[5] = -p.sense * moment
+        for j in range(pose_to.size):
+            s.floats[LAST + j] = pose_to[j]
+        fresh = turn / (turn + p.lag + p.twist * height / parts)
+        faded = 1e-3  # [N, N m] of a tool in the air, which ends the lag: a pass counts where its wrench is not 0
+        for j in range(6):
+            s.floats[LOAD + j] += fresh * (mean[j] - s.floats[LOAD + j])
+            if mean[j] == 0.0 and abs(s.floats[LOAD + j]) < faded:
+                s.floats[LOAD + j] = 0.0
+            mean[j] = s.floats[LOAD + j]
+        s.floats[LOAD + 6] += fresh * (moment - s.floats[LOAD + 6])
+        s.floats[THRUST] += fresh * (thrust / parts - s.floats[THRUST])
+        torque[k] = s.floats[LOAD + 6]
+        volume[k] = (s.floats[LEVEL_SUM] - before) * p.spacing * p.spacing
+
+
+@njit(cache=True, error_model="numpy", nogil=True)  # several workpieces are cut at once
+def sweep_teeth(s, p, positions, steps, forces, wrench, torque, volume):
+    """``engage`` with the sweep of the teeth; forces: of each micro-step of a single step, filled, or NO_FORCES."""
     for k in range(1, positions.shape[0]):
-        before, start, end = s.floats[LEVEL_SUM], positions[k - 1], positions[k]
-        first, n = steps[k - 1], steps[k] - steps[k - 1]
-        if teeth is not None:
-            torque[k] = sweep(s, p, start, end, first, n, forces, wrench[k])
-        if mean is not None:
-            torque[k] = engage(s, p, p.flat, p.profile, p.tilts, start, end, n, wrench[k])
-        volume[k] = (s.floats[LEVEL_SUM] - before) * per_node
+        before, n = s.floats[LEVEL_SUM], steps[k] - steps[k - 1]
+        torque[k] = sweep(s, p, positions[k - 1], positions[k], steps[k - 1], n, forces, wrench[k])
+        volume[k] = (s.floats[LEVEL_SUM] - before) * p.spacing * p.spacing

@@ -58,6 +58,7 @@ from kr270_milling.physics.cutting.laws import Cutting
 from kr270_milling.physics.cutting.load import end_force
 from kr270_milling.physics.cutting.profile import RUN, EdgeBins, Profile, profile_of
 from kr270_milling.physics.cutting.state import FAILED, FLOATS, INTS, LEVEL_SUM, LOGGED, NODES_CUT, TILES, common_params
+from kr270_milling.physics.cutting.sweep import copy_numbers
 from kr270_milling.physics.cutting.tool import Tool
 
 BINS = 72  #: K, of a whole turn
@@ -67,7 +68,7 @@ BEYOND = SINES // 4  # further entries at both ends: a crescent and the shift of
 FINE = 1 << 20  # parts of an entry in which the compiled loop counts
 FAR = 1e9  # [nodes], beyond every grid
 LONGEST = 0.25  # share of the radius: a longer move is divided
-UPRIGHT = 1e-7  # [rad], least tilt
+UPRIGHT = 1e-5  # [rad], least tilt; the heel of a flat end of 10 mm then rises by less than a level of a map
 SWING = 4.0  # assumed: radii above the tip, up to which a turn of the axis counts as a move
 RIM = 0.71  # [nodes], half of the widest ramp from an uncovered cell to a covered one: 1 / sqrt(2)
 BLOCK = 16  # nodes, a power of two
@@ -81,10 +82,12 @@ FLOOR_LEVEL = 5  # the whole footprint is cut at least to this level (-1: not kn
 FLOORS_KNOWN = 6  # rows in use of ``floors``
 FLOORS_KEPT = 8  # of these rows, the first ones that the last step has not changed
 FLOOR_NEAR = 9  # deepest level to which a footprint near the present one is cut (-1: not known)
-# Places in EngagementState.load, after wrench and torque
-THRUST = 7  # thrust of the end edges [N]
-CONTACT = 8  # mean length of all end edges on the floor when the tool last went below FLOOR_NEAR [m]
-RISE = 9  # rise of the tip above the predicted pose [m]
+# Places in EngagementState.floats
+LOAD = FLOATS  # wrench and torque that act in the last step [N, N m], 7
+THRUST = LOAD + 7  # thrust of the end edges [N]
+CONTACT = LOAD + 8  # mean length of all end edges on the floor when the tool last went below FLOOR_NEAR [m]
+RISE = LOAD + 9  # rise of the tip above the predicted pose [m]
+LAST = LOAD + 10  # tip at the end of the last step [m] and the axis; NaN: none, 6
 
 
 class EngagementParams(NamedTuple):
@@ -123,6 +126,7 @@ class EngagementParams(NamedTuple):
     flat: bool | None  # True: a flat end and no profile, compiled without ``revolution``
     profile: Profile | None  # None: a flat end
     tilts: bool | None  # True: poses have an axis; None: without it, compiled without ``tilted``
+    upright: bool | None  # None: no step that cuts has an upright axis, compiled without ``lower_upright``
 
 
 class EngagementState(NamedTuple):
@@ -132,13 +136,9 @@ class EngagementState(NamedTuple):
     rest: np.ndarray  # uint16, same shape: level of that part of the cell which the tool has not covered
     table: np.ndarray  # int32, tile -> place in the pool or -1
     ints: np.ndarray  # int64, (INTS,)
-    floats: np.ndarray  # (FLOATS,)
-    last: np.ndarray  # (3,): tool tip at the end of the last step [m]; NaN: none; (6,) with the axis after it
+    floats: np.ndarray  # (LAST + 6,)
     saved_ints: np.ndarray  # as they were before the last step
     saved_floats: np.ndarray
-    saved_last: np.ndarray
-    load: np.ndarray  # (10,): wrench and torque that act in the last step [N, N m], THRUST, CONTACT, RISE
-    saved_load: np.ndarray
     log_place: np.ndarray  # int64: nodes that the last step lowered
     log_level: np.ndarray  # uint16: their levels before
     log_rest: np.ndarray  # uint16
@@ -158,12 +158,13 @@ def make_engagement_params(
     give: float = 0.0,
     tilts: bool = False,
     bounce: np.ndarray | None = None,
+    upright: bool = True,
 ) -> EngagementParams:
     """stock: with the coarse step of this model; micro_step [rad]: the unit in which a step counts spindle angle.
 
     bins: K, of a whole turn; half of them are ahead. Below a sinking tool there are SECTORS. give, bounce: as in the
     record; None: the tip does not bounce.
-    tilts: poses have an axis, and a flat end has a profile, too.
+    tilts: poses have an axis, and a flat end has a profile, too; upright: of some steps that cut the axis is upright.
     """
     widest = float(tool.radii.max())
     flat_end = tool.has_flat_end and not tilts
@@ -180,6 +181,7 @@ def make_engagement_params(
         flat=flat_end or None,
         profile=profile,
         tilts=tilts or None,
+        upright=upright or None,
         **tables(widest, stock.grid_step, bins),
     )
 
@@ -227,16 +229,11 @@ def make_engagement_state(p: EngagementParams, stock: Stock) -> EngagementState:
     footprint = (2 * p.reach + 3) ** 2
     if p.profile is not None:
         lost = np.zeros((2 * bins, p.profile.length.size + 1))
+        runs, scratch = (2 * p.reach + 3) * ((2 * p.reach + 3) // RUN + 2), 13 * RUN
         edge = EdgeBins(
-            np.zeros(nodes // RUN + 1, np.uint16),
-            lost,
-            lost.copy(),
-            np.zeros(2 * bins),
-            np.zeros(13 * RUN, np.float32),
-            np.zeros(13 * RUN, np.int32),
-            np.zeros(((2 * p.reach + 3) * ((2 * p.reach + 3) // RUN + 2), 6), np.int64),
-            np.zeros(12 * RUN),
-        )
+            np.zeros(nodes // RUN + 1, np.uint16), lost, lost.copy(), np.zeros(2 * bins), np.zeros(scratch, np.float32),
+            np.zeros(scratch, np.int32), np.zeros((runs, 6), np.int64), np.zeros(scratch),
+        )  # fmt: skip
     ints = np.zeros(INTS, np.int64)
     ints[FLOOR_LEVEL] = -1
     return EngagementState(
@@ -244,13 +241,9 @@ def make_engagement_state(p: EngagementParams, stock: Stock) -> EngagementState:
         rest=np.zeros(nodes, np.uint16),
         table=np.full(tiles, -1, np.int32),
         ints=ints,
-        floats=np.zeros(FLOATS),
-        last=np.full(6 if p.tilts else 3, math.nan),
+        floats=np.append(np.zeros(LAST), np.full(6, math.nan)),
         saved_ints=ints.copy(),
-        saved_floats=np.zeros(FLOATS),
-        saved_last=np.full(6 if p.tilts else 3, math.nan),
-        load=np.zeros(10),
-        saved_load=np.zeros(10),
+        saved_floats=np.zeros(LAST + 6),
         log_place=np.empty(8 * footprint, np.int64),
         log_level=np.empty(8 * footprint, np.uint16),
         log_rest=np.empty(8 * footprint, np.uint16),
@@ -338,11 +331,11 @@ def rise_of_step(s, p, z, passes, give):
     if passes == 0.0 or s.ints[FLOOR_NEAR] < 0:
         return 0.0
     sinks = p.top - s.ints[FLOOR_NEAR] * p.level_step - z
-    low, high = -give * s.load[THRUST], sinks
+    low, high = -give * s.floats[THRUST], sinks
     for _ in range(20 if low < high else 0):  # halve the interval of the rise from 1 mm to 1 nm
         rise = 0.5 * (low + high)
-        thrust = s.load[CONTACT] * layer_force(p, (sinks - rise) / passes)[1]
-        if rise < give * (thrust - s.load[THRUST]):
+        thrust = s.floats[CONTACT] * layer_force(p, (sinks - rise) / passes)[1]
+        if rise < give * (thrust - s.floats[THRUST]):
             low = rise
         else:
             high = rise
@@ -683,7 +676,7 @@ def _load(s, p, m, sinking, ahead_x, ahead_y, passes, wrench):
             layers, contact = layers + volume, contact + length
     if s.ints[FLOOR_LEVEL] > s.ints[FLOOR_NEAR]:
         # assumed: 90 % of an earlier contact still count; a tool that swings meets the whole floor again
-        s.load[CONTACT] = max(contact, 0.9 * s.load[CONTACT])
+        s.floats[CONTACT] = max(contact, 0.9 * s.floats[CONTACT])
     torque, total = torque + turning, total + layers
     wrench[0] += ahead_x * local_x - ahead_y * local_y + side_x
     wrench[1] += ahead_y * local_x + ahead_x * local_y + side_y
@@ -708,14 +701,8 @@ def undo_engagement(s, edge):
         s.pool[s.log_place[k]] = s.log_level[k]
         s.rest[s.log_place[k]] = s.log_rest[k]
     tiles, floors = s.ints[TILES], s.ints[FLOORS_KEPT]
-    for j in range(s.ints.size):
-        s.ints[j] = s.saved_ints[j]
-    for j in range(s.floats.size):
-        s.floats[j] = s.saved_floats[j]
-    for j in range(s.last.size):
-        s.last[j] = s.saved_last[j]
-    for j in range(s.load.size):
-        s.load[j] = s.saved_load[j]
+    copy_numbers(s.saved_ints, s.ints)
+    copy_numbers(s.saved_floats, s.floats)
     s.ints[TILES] = tiles  # an untouched tile equals none
     s.ints[FLOORS_KNOWN] = floors
     s.ints[LOGGED] = 0

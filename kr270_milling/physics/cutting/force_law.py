@@ -15,7 +15,7 @@ from typing import ClassVar, NamedTuple, Protocol
 
 import numpy as np
 from llvmlite import ir
-from numba import cfunc, njit, types
+from numba import cfunc, types
 from numba.core import cgutils
 from numba.core.errors import NumbaError
 from numba.extending import intrinsic
@@ -23,7 +23,7 @@ from numba.extending import intrinsic
 from kr270_milling.base.errors import ConfigError
 from kr270_milling.base.record import Record, specs
 from kr270_milling.base.units import UNITS
-from kr270_milling.physics.cutting.compiled import inlined
+from kr270_milling.physics.cutting.compiled import compiled, inlined
 from kr270_milling.physics.cutting.tool import Tool
 
 FORCES = types.UniTuple(types.float64, 3)
@@ -263,7 +263,7 @@ def _call_law(typing_context, address, h, arguments):
 call_law: Callable = intrinsic(_call_law)
 
 
-@njit(cache=True)
+@compiled
 def _fill(address, h, arguments, forces):
     for i in range(h.size):
         forces[0, i], forces[1, i], forces[2, i] = call_law(address, h[i], arguments)

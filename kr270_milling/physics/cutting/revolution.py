@@ -62,7 +62,6 @@ LOST = 3 * RUN  # levels that the cell loses
 REST = 4 * RUN  # level before of what the tool had not covered
 ALONG, BESIDE, AT, SINE, FAR, END, COVER, START = (RUN * k for k in range(5, 13))  # further rows of ``EdgeBins.work``
 ONE = np.uint64(1)
-UNEVEN = 0.05  # share of d.n by which it spreads over a bin, above which its force is that of two places
 MOST = 2.0  # share of a bin; the nodes of the map scatter it about 1
 
 
@@ -75,11 +74,8 @@ def lower_nodes(s, p, base, first):
     s.ints[LOGGED] = LOG_LOST
     if logged + RUN < s.log_place.size:
         for n in range(RUN):
-            s.log_place[np.uint64(logged + n)] = start + np.uint64(n)
-        for n in range(RUN):
-            s.log_level[np.uint64(logged + n)] = s.pool[start + np.uint64(n)]
-        for n in range(RUN):
-            s.log_rest[np.uint64(logged + n)] = s.rest[start + np.uint64(n)]
+            k, place = np.uint64(logged + n), start + np.uint64(n)
+            s.log_place[k], s.log_level[k], s.log_rest[k] = place, s.pool[place], s.rest[place]
         s.ints[LOGGED] = logged + RUN
     for n in range(RUN):  # numbers are cut to 32 bits at once: more of them fit a register
         place = start + np.uint64(n)
@@ -106,33 +102,25 @@ def lower_upright(s, p, x0, y0, z0, x1, y1, z1):
     m = math.sqrt(dx * dx + dy * dy)
     ahead_x, ahead_y = (dx / m, dy / m) if m > 0.0 else (1.0, 0.0)
     behind = s.ints[FLOOR_LEVEL] < 0 or sinks > 0.0 or m == 0.0  # a tool that does not sink cuts nothing behind
-    if deepest <= 1e-3 * p.level_step or outside(p, x1, y1):
-        remember(s, x1, y1, np.int64(0))
-    else:
-        _lower(s, p, x0, y0, m / p.spacing, ahead_x, ahead_y, (p.top - z0) * levels, sinks, behind)
-        remember(s, x1, y1, np.int64(max((p.top - z1) * levels, 0.0)))
     highest = p.profile.length.size - 1
     while highest > 0 and p.profile.edges[highest] >= deepest * levels:
         highest -= 1
+    if deepest <= 1e-3 * p.level_step or outside(p, x1, y1):
+        remember(s, x1, y1, np.int64(0))
+    else:
+        _lower(s, p, x0, y0, m / p.spacing, ahead_x, ahead_y, (p.top - z0) * levels, sinks, behind, highest)
+        remember(s, x1, y1, np.int64(max((p.top - z1) * levels, 0.0)))
     angles = 2 * p.widths.size if behind or sinks < 0.0 else p.widths.size
     frame = (ahead_x, ahead_y, 0.0, -ahead_y, ahead_x, 0.0, 0.0, 0.0, 1.0)
     return (m, 0.0, z1 - z0, 0.0, 0.0), frame, (angles, highest)
 
 
 @inlined
-def empty_bins(s):
-    """Empty the bins."""
-    for k in range(s.edge.raised.size):
-        s.edge.raised[k] = 0.0
-        for b in range(s.edge.lost.shape[1]):
-            s.edge.lost[k, b] = s.edge.ahead[k, b] = 0.0
-
-
-@inlined
-def _lower(s, p, x0, y0, m, ahead_x, ahead_y, below, sinks, behind):
+def _lower(s, p, x0, y0, m, ahead_x, ahead_y, below, sinks, behind, highest):
     """Lower the nodes that the tool reaches on its way of m nodes from (x0, y0), ``below`` the top [levels].
 
-    sinks: depth at the end beyond that at the start [levels]; behind: nodes behind the start may be lowered too.
+    sinks: depth at the end beyond that at the start [levels]; behind: nodes behind the start may be lowered too;
+    highest: piece above which the tool is above the top of the stock.
     """
     scale, levels = 1.0 / p.spacing, 1.0 / p.level_step
     u0, v0, r = (x0 - p.origin_x) * scale, (y0 - p.origin_y) * scale, p.radius * scale
@@ -140,11 +128,8 @@ def _lower(s, p, x0, y0, m, ahead_x, ahead_y, below, sinks, behind):
     entry, most = ENTRIES / r, max(below, below + sinks)
     slope = -sinks / m if m > 1e-6 else 0.0  # rise of the tip [levels a node]
     inverse = 1.0 / m if m > 1e-6 else 0.0
-    low, high, runs, count = 0, ENTRIES, s.edge.runs, 0
-    while low < high:  # the tool is above the top of the stock where it is wider
-        middle = (low + high) // 2
-        low, high = (low, middle) if p.profile.height[middle] >= most - 0.5 else (middle + 1, high)
-    wide = min(low / entry, r + RIM) if low < ENTRIES else r + RIM
+    runs, count, wide = s.edge.runs, 0, p.profile.rims[min(highest + 1, p.profile.rims.size - 1)] * scale
+    wide = wide if wide < r else r + RIM
     rims = p.profile.height[int((r - RIM) * entry)] < most
     start, stop = min(u0, u1) - wide, max(u0, u1) + wide
     if not behind and abs(ahead_y) < 1e-9:
@@ -205,13 +190,8 @@ def _run(s, p, run, u0, v0, step):
     zero, one, half, tiny = np.float32(0), np.float32(1), np.float32(0.5), np.float32(1e-9)
     most, deepest, table = np.float32(ENTRIES), np.float32(LEVELS), np.float32(SINES + 2 * BEYOND)
     a_, v_, m_, x_, y_ = np.float32(a), np.float32(first - v0), np.float32(m), np.float32(ahead_x), np.float32(ahead_y)
-    inverse_, entry_, r_, below_, sinks_ = (
-        np.float32(inverse),
-        np.float32(entry),
-        np.float32(r),
-        np.float32(below),
-        np.float32(sinks),
-    )
+    inverse_, entry_, r_ = np.float32(inverse), np.float32(entry), np.float32(r)
+    below_, sinks_ = np.float32(below), np.float32(sinks)
     outer, sines, beyond = np.float32((r - RIM) * (r - RIM)), np.float32(0.5 * SINES), np.float32(BEYOND + 0.5 * SINES)
     moves = inverse > 0.0
     whole, side = (zero, most) if moves else (one, most - one)  # a way straight down has no side
@@ -394,7 +374,7 @@ def edge_load(s, p, motion, frame, passes, used, tilted, wrench):
                 through -= 0.0 if k < bins else volume_c
                 volume_c = 0.0
             volume_c += left_c
-            if volume <= 1e-9:  # [levels], or rounding
+            if volume <= 1e-9 or passes == 0.0:  # [levels], or rounding
                 continue
             if volume > left:
                 own = b
@@ -429,7 +409,7 @@ def edge_load(s, p, motion, frame, passes, used, tilted, wrench):
                 own_c = m * sine * (ahead * volume_c / volume - mean_c)
                 skew = (normal * normal - spread * spread) / max(normal - own_c, 0.1 * normal) - normal
                 skew = min(max(skew / spread, -1.0), 1.0)
-                points = 2 if spread > UNEVEN * normal else 1
+                points = 2 if spread > 0.05 * normal else 1
             if crossed and amount > MOST * area * room:
                 area = amount / (MOST * room)
                 normal = area / lever
@@ -458,7 +438,7 @@ def edge_load(s, p, motion, frame, passes, used, tilted, wrench):
             total, raised = total + volume, raised + volume * middle
         s.edge.raised[k] = 0.0
     if s.ints[FLOOR_LEVEL] > s.ints[FLOOR_NEAR]:
-        s.load[CONTACT] = max(contact, 0.9 * s.load[CONTACT])
+        s.floats[CONTACT] = max(contact, 0.9 * s.floats[CONTACT])
     for j in range(3):
         wrench[j] += frame[j] * local_x + frame[3 + j] * local_y + frame[6 + j] * force_z
     if p.moments:

@@ -87,17 +87,18 @@ def undo(s):
             s.pool[start + i] = s.log_level[end - length + i]
         end -= length
     tiles = s.ints[TILES]
-    _copy(s.saved_ints, s.ints)
-    _copy(s.saved_floats, s.floats)
+    copy_numbers(s.saved_ints, s.ints)
+    copy_numbers(s.saved_floats, s.floats)
     for k in range(s.loads.shape[0]):
-        _copy(s.saved_loads[k], s.loads[k])
+        copy_numbers(s.saved_loads[k], s.loads[k])
     s.ints[TILES] = tiles  # an untouched tile says the same as none
     s.ints[LOGGED] = s.ints[LOGGED_RUNS] = s.ints[TALLIED] = 0
     return True
 
 
 @inner
-def _copy(source, target):
+def copy_numbers(source, target):
+    """Copy the numbers of an array into another."""
     for i in range(target.size):
         target[i] = source[i]
 
@@ -112,10 +113,10 @@ def _clear(target):
 def _open(s, p, pose_from, first, n):
     """Save the state, empty the log, and forget the history if this sweep does not continue the last one."""
     s.ints[LOGGED] = s.ints[LOGGED_RUNS] = s.ints[LOG_LOST] = s.ints[TALLIED] = 0
-    _copy(s.ints, s.saved_ints)
-    _copy(s.floats, s.saved_floats)
+    copy_numbers(s.ints, s.saved_ints)
+    copy_numbers(s.floats, s.saved_floats)
     for k in range(s.loads.shape[0]):
-        _copy(s.loads[k], s.saved_loads[k])
+        copy_numbers(s.loads[k], s.saved_loads[k])
     for i in range(s.chips.size):
         s.chips[i] = 0.0
     here = s.history[first & (s.history.shape[0] - 1)]

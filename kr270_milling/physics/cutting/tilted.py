@@ -42,15 +42,12 @@ BOUND = 5 * RUN  # level below which no node of a whole run is lowered
 FALL = 7 * RUN  # half of the difference of the levels of the tool over a cell
 NEAR = 6 * RUN  # 2: the tool covers cells of a whole run in part; 1: it did so at the start of the step
 MISSED = math.inf  # height of a tool that does not cover a node
-SLICES, ROUND = 8, 2  # of a column as high as the radius, of a tool with a level end and of another one
-STEEP = 0.3  # cos(kappa) of a flank, whose radius depends little on the height
 U, V, X, Y, Z, NU, NV, NZ, LAST, RISE, COVER, SLOPE = (RUN * k for k in range(12))  # rows of ``EdgeBins.place``
 # a column is at a place in its cell, and a slice at a height in the column, so that a row of nodes along the feed
 # fills all bins that its cells meet: SCATTER_X i + SCATTER_Y j and SCATTER_U i + SCATTER_V j, as shares of 2^32
 SCATTER_X, SCATTER_Y = np.uint32(0.5698402910 * 2.0**32), np.uint32(0.7548776662 * 2.0**32)
 SCATTER_U, SCATTER_V = np.uint32(0.8191725134 * 2.0**32), np.uint32(0.6710436067 * 2.0**32)
 MIDDLE = COVER  # level of the tool in the middle of a cell
-STEEPEST = 3.0  # slope of a surface beside the rim of the tool
 STAYS = -1e9  # level of a tool that does not cover a node
 FLAT = 1e-9  # [m] and sine of an angle below which a length and a tilt are none
 
@@ -336,17 +333,11 @@ def _lowest_on_way(p, step, x, y, first, falls, last, rate, enough):
 def _pose(pose_from, pose_to, share):
     """Return tip and unit axis at a share of a step, six numbers."""
     rest = 1.0 - share
-    x, y, z = (rest * pose_from[3] + share * pose_to[3], rest * pose_from[4] + share * pose_to[4],
-               rest * pose_from[5] + share * pose_to[5])  # fmt: skip
+    a, b, e, x, y, z = (rest * pose_from[0] + share * pose_to[0], rest * pose_from[1] + share * pose_to[1],
+                        rest * pose_from[2] + share * pose_to[2], rest * pose_from[3] + share * pose_to[3],
+                        rest * pose_from[4] + share * pose_to[4], rest * pose_from[5] + share * pose_to[5])  # fmt: skip
     scale = 1.0 / math.sqrt(x * x + y * y + z * z)
-    return (
-        pose_from[0] + share * (pose_to[0] - pose_from[0]),
-        pose_from[1] + share * (pose_to[1] - pose_from[1]),
-        pose_from[2] + share * (pose_to[2] - pose_from[2]),
-        x * scale,
-        y * scale,
-        z * scale,
-    )
+    return a, b, e, x * scale, y * scale, z * scale
 
 
 @inlined
@@ -547,7 +538,7 @@ def _look_at_run(s, p, step, tip_z, x, start, low, high, near, known, follows):
         hit = place[Z + n] != MISSED and first + n >= low and first + n <= high and work[PART + n] > np.float32(0.0)
         goal = min((depth - place[Z + n]) * levels, float(LEVELS))
         work[GOAL + n] = np.float32(goal if hit else STAYS)
-        place[SLOPE + n] = slope = min(max(place[NV + n] * side_x + place[NU + n] * side_y, -STEEPEST), STEEPEST)
+        place[SLOPE + n] = slope = min(max(place[NV + n] * side_x + place[NU + n] * side_y, -3.0), 3.0)
         work[FALL + n] = np.float32(0.5 * p.spacing * levels * abs(slope) + 1e-9)
         work[SHARE + n] = np.float32(1.0)
         place[LAST + n], place[RISE + n] = place[Z + n], place[NZ + n]
@@ -594,10 +585,8 @@ def _lower_run(s, p, step, frame, tip_z, low, base, x, start):
                     p, step, place[X + n], place[Y + n], place[Z + n], place[NZ + n], place[LAST + n], place[RISE + n],
                     depth - enough * p.level_step,
                 )  # fmt: skip
-                work[SHARE + n], work[GOAL + n] = (
-                    np.float32(share),
-                    np.float32(min((depth - z) * levels, float(LEVELS))),
-                )
+                work[SHARE + n] = np.float32(share)
+                work[GOAL + n] = np.float32(min((depth - z) * levels, float(LEVELS)))
     for n in range(RUN):  # the surface leaves the top within a cell: the mean of its depth over the cell
         goal, fall = work[GOAL + n], work[FALL + n]
         part = np.float32(0.5) * (goal + fall) / fall
@@ -667,7 +656,8 @@ def _sort_column(s, p, step, frame, share, column, lost):
     m = step[0] * frame[0] + step[1] * frame[1] + step[2] * frame[2]
     side = step[0] * frame[3] + step[1] * frame[4] + step[2] * frame[5]
     sink = step[0] * frame[6] + step[1] * frame[7] + step[2] * frame[8]
-    count = 1 + min(int((SLICES if p.end_radius > 0.0 else ROUND) * math.sqrt(height / p.radius)), 1000)
+    most = 8 if p.end_radius > 0.0 else 2  # slices of a column as high as the radius
+    count = 1 + min(int(most * math.sqrt(height / p.radius)), 1000)
     thin = height / (count * count)
     entry = ENTRIES / p.radius
     slant = end_x * step[6] + end_y * step[7]
@@ -702,7 +692,7 @@ def _sort_column(s, p, step, frame, share, column, lost):
                     b += 1
                 while b > 0 and not _above(shape, b - 1, rho, h * levels, p.level_step):
                     b -= 1
-            steep = level or beyond or (shape.cosine[b] < STEEP and abs(sink) < m)
+            steep = level or beyond or (shape.cosine[b] < 0.3 and abs(sink) < m)
             if steep:  # a height and its e2 meet the circle at this height
                 h = max(h, 0.0)
                 while b < last and h * levels >= shape.edges[b + 1]:

@@ -173,8 +173,11 @@ def _exchange(
     s, p = cut
     per_node = p.spacing * p.spacing
     states, free = np.zeros((2, state.size)), np.zeros(arrays[0].shape[1])
-    answer, no_forces = wrench.copy(), np.empty((0, 3))
-    given, here = np.zeros((2, tool.shape[1])), 0  # poses for the cut, before and after; number of the row before
+    span, turned, taken, answers = np.zeros(2, np.int64), np.zeros(2), np.zeros(2), np.zeros((2, 6))
+    answer, no_forces = answers[1], np.empty((0, 3))
+    for j in range(6):
+        answer[j] = wrench[j]
+    given = np.zeros((2, tool.shape[1]))  # poses for the cut, before and after
     for j in range(tool.shape[1]):
         given[0, j] = tool[first - window, j]
     n, count, cuts = first, 1, False
@@ -199,14 +202,15 @@ def _exchange(
             if k > 0 and not cut_undo(s, teeth, mean):
                 return False
             for j in range(tool.shape[1]):
-                given[1 - here, j] = tool[end, j]
-            if count > 1:  # a tool that sinks is as low as at the end of a step: then as in the middle
-                given[1 - here, 2] += 0.5 * max(tool[row, 2] - tool[end, 2], 0.0)
-            start, to = given[here], given[1 - here]
+                given[1, j] = tool[end, j]
+            if count > 1 and n + count < last:  # a tool that sinks is as low as at the end of a step: then as in the middle
+                given[1, 2] += 0.5 * max(tool[row, 2] - tool[end, 2], 0.0)
             if teeth is not None:  # the cut answers
-                torque = sweep(s, p, start, to, n * micro_steps, micro_steps, no_forces, answer)
+                torque = sweep(s, p, given[0], given[1], n * micro_steps, micro_steps, no_forces, answer)
             if mean is not None:
-                torque = engage(s, p, p.flat, p.profile, p.tilts, start, to, count * micro_steps, answer)
+                span[1] = count * micro_steps
+                engage(s, p, p.flat, p.profile, p.tilts, p.upright, given, span, answers, turned, taken)
+                torque = turned[1]
             if silent[end]:
                 torque = 0.0
                 for j in range(6):
@@ -229,7 +233,9 @@ def _exchange(
             for j in range(6):
                 answer[j] = wrench[j]
             continue
-        cuts, here = removed > 0.0, 1 - here
+        cuts = removed > 0.0
+        for j in range(tool.shape[1]):
+            given[0, j] = given[1, j]
         for j in range(6):
             wrench[j] = answer[j]
         for j in range(state.size):  # one by one: Numba compiles the sentence on shapes of a slice for seconds

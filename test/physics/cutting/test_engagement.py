@@ -16,7 +16,7 @@ from kr270_milling.cell.jobs import compensated, simulate
 from kr270_milling.cell.models import arm_model_of, cut_of, cut_text_of, path_of
 from kr270_milling.decide.part import assess
 from kr270_milling.physics.cutting import AL7075_T6, Cut, Cutting, EngagementCut, Stock, Tool
-from kr270_milling.physics.cutting.engagement import BINS, FLOORS_KNOWN, mean_thrusts
+from kr270_milling.physics.cutting.engagement import BINS, FLOORS_KNOWN, LOAD, mean_thrusts
 from kr270_milling.physics.motion.milling_pass import run_pass
 
 RADIUS, TEETH, DEPTH, FEED = 10e-3, 4, 1e-3, 0.125e-3  # [m]; feed per tooth
@@ -237,8 +237,8 @@ def test_a_sinking_tool_need_not_visit_again_what_it_has_cut(iterated):
             cuts[0].restore()
         wrenches = [cut.sweep(path[k], path[k + 1], int(steps[k]), n) for cut in cuts]
         np.testing.assert_array_equal(wrenches[0], wrenches[1])
-    for name in ("pool", "rest", "load"):
-        np.testing.assert_array_equal(getattr(cuts[0].state, name), getattr(cuts[1].state, name))
+    for both in zip(*((cut.state.pool, cut.state.rest, cut.state.floats[LOAD:]) for cut in cuts), strict=True):
+        np.testing.assert_array_equal(*both)
 
 
 def test_the_error_falls_with_the_step_of_the_map_and_the_square_of_the_bins_and_has_no_order_in_the_length_of_a_step():
