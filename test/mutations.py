@@ -119,7 +119,7 @@ MUTATIONS = [
     ("helix: height", LOAD, "height * place <</ length|>>)"),
     ("helix: hat", LOAD, "<<0.5|1.0>> * (1.0 + x) * (1.0 + x)"),
     ("helix: hat", LOAD, "abs(x) / <<3.0|2.0>>"),
-    ("helix: undo", SWEEP, "_copy(<<s.saved_loads[k], s.loads|s.loads[k], s.loads>>[k])"),
+    ("helix: undo", SWEEP, "copy_numbers(<<s.saved_loads[k], s.loads|s.loads[k], s.loads>>[k])"),
     ("dphi_i", SWEEP, "p.sense * (dy * c <<-|+>> dx * d)"),
     ("dphi_i", SWEEP, "along = <<p.sense|-p.sense>> * (dy"),
     ("dphi_i", SWEEP, "h /= max(<<1.0 + along|1.0>>, JUMP)"),

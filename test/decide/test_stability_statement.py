@@ -168,7 +168,7 @@ def test_noise_and_a_swing_that_dies_out_are_no_growth_but_what_grows_or_lasts_a
 def test_vibration_of_the_arm_grows_in_the_pass_above_the_limit_and_a_short_pass_has_no_statement():
     cell = cell_of(1e-3, SOFT)
     (lobe,) = lobes(path_of(cell), cell.cutting, modes_of(cell), [cell.tool.spindle_speed])
-    for share, word in ((0.5, "repeats"), (2.0, "grows")):
+    for share, word in ((0.5, "repeats"), (2.5, "grows")):
         checked = check(cell_of(share * lobe.depth_limit, SOFT))
         limits = [f.limit for f in checked.findings if (f.what, f.severity) == ("growing vibration", "stop")]
         assert checked.residue.word == word and limits == [0.15] * (word == "grows")

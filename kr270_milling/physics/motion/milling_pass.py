@@ -203,7 +203,7 @@ def _exchange(
                 return False
             for j in range(tool.shape[1]):
                 given[1, j] = tool[end, j]
-            if count > 1 and n + count < last:  # a tool that sinks is as low as at the end of a step: then as in the middle
+            if 1 < count < last - n:  # a tool that sinks is as low as at the end of a step: then as in the middle
                 given[1, 2] += 0.5 * max(tool[row, 2] - tool[end, 2], 0.0)
             if teeth is not None:  # the cut answers
                 torque = sweep(s, p, given[0], given[1], n * micro_steps, micro_steps, no_forces, answer)
