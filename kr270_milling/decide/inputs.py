@@ -236,12 +236,16 @@ def _program(cell: Cell) -> list[Finding]:
 
 def _along_axis(cell: Cell, path: Toolpath) -> bool:
     """Return whether the tool makes no sideways feed move below the top of the stock."""
-    move, axes = np.diff(path.position, axis=0), tool_axis(path.quaternion[1:])
+    low = np.minimum(path.position[1:, 2], path.position[:-1, 2]) < cell.stock.max[2] - 1e-6
+    return not (_sideways(path)[1:] & low & ~path.rapid[1:]).any()
+
+
+def _sideways(path: Toolpath) -> np.ndarray:
+    """Return the blocks that do not lead along the axis of the tool, (n,)."""
+    move, axes = np.diff(path.position, axis=0, prepend=path.position[:1]), tool_axis(path.quaternion)
     along = np.einsum("ij,ij->i", move, axes)
     # a program rounds the moves of a tilted tool
-    sideways = np.linalg.norm(move - along[:, None] * axes, axis=1) > np.maximum(1e-6, 1e-3 * np.abs(along))
-    low = np.minimum(path.position[1:, 2], path.position[:-1, 2]) < cell.stock.max[2] - 1e-6
-    return not (sideways & low & ~path.rapid[1:]).any()
+    return np.linalg.norm(move - along[:, None] * axes, axis=1) > np.maximum(1e-6, 1e-3 * np.abs(along))
 
 
 def _outside(cell: Cell, path: Toolpath) -> list[Finding]:
@@ -255,9 +259,11 @@ def _outside(cell: Cell, path: Toolpath) -> list[Finding]:
     away = np.hypot(*(position[:, :2] - np.clip(position[:, :2], low[:2], high[:2])).T)
     outside = away >= radius
     findings = []
-    for number in np.unique(path.feature[block[cuts]]).tolist():
+    numbers, sideways = np.unique(path.feature[block[cuts]]).tolist(), _sideways(path) | path.drilling
+    for number in numbers:
         mine = cuts & (path.feature[block] == number)
-        if outside[mine].all():
+        moves = np.unique(block[mine])  # one along the axis: a robot program feeds to its first point
+        if outside[mine].all() and (len(moves) > 1 or sideways[moves].any() or len(numbers) == 1):
             name = path.features[number] or "the path"
             first = int(np.flatnonzero(mine)[0])
             nearest = float(away[mine].min()) - radius
