@@ -1,6 +1,5 @@
 (0.4 mm wide, 2 mm deep: the tool leaves corners)
 (expect: may be run)
-(set: stock.floor_tolerance_um=20)
 G21 G90 G17
 T1 M6 (flat end mill D10)
 S9000 M3

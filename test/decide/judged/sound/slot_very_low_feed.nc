@@ -7,6 +7,6 @@ T1 M6 (flat end mill D10)
 S8000 M3
 G0 X-12 Y0 Z5
 Z-1
-G1 X-6 F200
+G1 X2 F200
 G0 Z5
 M30
