@@ -314,6 +314,7 @@ CASES = (
     Case("above the limit depth of the tool", "chatter", MODE.format(0.01), NARROW.replace("Z-0.5", "Z-8")),
     Case("beyond the linear model", "deflection", f"cutting.fractional.stiffness_n_per_m=5e10; {WEIGHTLESS}", limit=50),
     Case("out of reach", "reach", "", SLOT.replace("X26", "X26\nG1 Y2500"), lines=(5, 6)),
+    Case("a retract out of reach", "reach", "program.safe_height_mm=2000", words="of the robot program"),
     Case("a joint beyond its range", "joint limit", "", BEYOND, lines=(5, 6), limit=155.0, words="axis 3"),
     Case("a wrist that is stretched", "singularity", "start_joints_deg=[90,-50,120,180,1,180]", words="wrist"),
     Case("an arm that hangs down", "joint deflection", f"{COMPLIANCE}=[900,900,900,900,900,900]", words="joint 2"),
