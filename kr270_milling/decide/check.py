@@ -24,6 +24,7 @@ from kr270_milling.decide.check_arm import (
     corner_blending,
     correction_per_tick,
     correction_size,
+    ends_out_of_reach,
     link_contacts,
     load_reversals,
 )
@@ -195,6 +196,7 @@ def check(
         straight = run.velocity is None and path.target.velocity is not None
         robot_program = cell.krl.replace(motion=motion or ("LIN" if straight else cell.krl.motion))
         results += _correction(cell, path.target, run, robot_program)
+        results += ends_out_of_reach(arm_of(cell), float(cell.stock.max[2]) + cell.krl.safe_height, run)
         fixed = fixed_knots(path.target.standing, knot_feeds(path, len(path.target)))
         with ThreadPoolExecutor(1) as pool:  # on another core than the pass
             contacts, statement = pool.submit(path_contacts, cell, run), pool.submit(stability_statement, cell)

@@ -18,7 +18,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from kr270_milling.base.blocks import blocks
-from kr270_milling.base.frames import Pose, rotation_from_quaternion
+from kr270_milling.base.frames import Pose, lifted, rotation_from_quaternion, tool_axis
 from kr270_milling.cell.arm import PlacedArm
 from kr270_milling.cell.jobs import ScoredPass
 from kr270_milling.cell.paths import CellPath
@@ -61,6 +61,20 @@ def arm_violations(placed: PlacedArm, limits: Limits, run: Trajectory) -> tuple[
     results = _joint_limits(arm, joints) + _singularities(arm, limits, joints) + _flips(arm, joints)
     rates = _joint_rates(run.time, joints, arm.joint_speed_limit, arm.joint_acceleration_limit, at_rest)
     return results + rates, joints
+
+
+def ends_out_of_reach(placed: PlacedArm, safe: float, run: Trajectory) -> list[Finding]:
+    """Return a finding where approach or retract of the robot program, up to a height [m], is out of reach."""
+    findings = []
+    for knot, name in ((0, "approach"), (-1, "retract")):
+        quaternion = run.quaternion[[knot, knot]]
+        place = lifted(run.position[knot], tool_axis(quaternion[0]), safe)
+        for found in _reach(placed, Trajectory(np.array([0, 1]), np.tile(place, (2, 1)), quaternion)):
+            words = found.sentence.replace("at points 1 to 2", f"in the {name} of the robot program")
+            words = words.replace(" at point 1", "")
+            where = dataclasses.replace(found.where, point=len(run) if knot else 1)
+            findings.append(dataclasses.replace(found, sentence=words, where=where))
+    return findings
 
 
 def _reach(placed: PlacedArm, run: Trajectory) -> list[Finding]:

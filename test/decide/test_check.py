@@ -21,7 +21,13 @@ from kr270_milling.cell.cell_file import read_cell
 from kr270_milling.cell.jobs import simulate
 from kr270_milling.cell.models import arm_of, path_of
 from kr270_milling.decide.check import check
-from kr270_milling.decide.check_arm import arm_violations, corner_blending, correction_per_tick, correction_size
+from kr270_milling.decide.check_arm import (
+    arm_violations,
+    corner_blending,
+    correction_per_tick,
+    correction_size,
+    ends_out_of_reach,
+)
 from kr270_milling.decide.check_cut import HOLLOW, INSERT_RAMP, core_radius, engagement, rapid_violations
 from kr270_milling.decide.findings import violations
 from kr270_milling.path.trajectory import TOOL_DOWN, Trajectory
@@ -66,6 +72,14 @@ def test_out_of_reach_names_all_points_that_are(cell):
     assert joints is None and 2 < len(lost) < 9 and finding.where.point == np.argmax(away) + 1
     assert f"at points {lost[0]} to {lost[-1]}: " in finding.sentence
     assert finding.value == pytest.approx(away.max(), abs=1e-9)
+
+
+def test_an_approach_or_a_retract_out_of_reach_is_named_at_its_end_of_the_path(cell):
+    target = path_of(cell).target
+    found = ends_out_of_reach(arm_of(cell), 9.0, target)
+    assert [(f.what, f.where.point) for f in found] == [("reach", 1), ("reach", len(target))]
+    assert "in the retract of the robot program: the wrist centre would be" in found[1].sentence
+    assert not ends_out_of_reach(arm_of(cell), 0.05, target)
 
 
 def test_a_joint_beyond_its_range_or_too_fast_or_hard_is_named_with_its_worst_point(cell):
