@@ -186,27 +186,28 @@ def link_contacts(
     stick_out: of the tool [m]; stock, workpiece: box of the uncut stock, fixtures and table.
     """
     arm, mount, stamps = placed.arm, placed.mount, _stamps(run)
-    link, *ends, radius = (np.array(column) for column in zip(*link_capsules(arm, mount, stick_out), strict=True))
+    capsules = link_capsules(arm, mount, stick_out)
     turned, obstacles = placed.place.inverse(), _obstacles(workpiece, stock)
-    # links in the chain from a link to the nearest link with which it is compared
-    one, two = np.nonzero(np.minimum(link, 6) - np.minimum(link, 6)[:, None] >= 3)
-    low, high = (np.array([box[side] for _, box in obstacles])[:, None, None] for side in (0, 1))
-    names = [(LINKS[k], name) for name, _ in obstacles for k in link[link > 0]]
-    names += [(LINKS[k], LINKS[i]) for k, i in zip(link[two], link[one], strict=True)]
     deepest: dict[tuple[str, str], tuple[float, int]] = {}
-    for part in blocks(len(stamps), 4096):
+    for part in blocks(len(stamps)):
         frames = forward(arm, mount, placed.joints_along(run, stamps[part]))
         links = [Pose(frames.nodes[:, k], frames.rotations[:, k]) for k in range(6)]
         base = Pose(0.0 * frames.flange.position, np.eye(3))
         in_part = [turned @ frame for frame in (base, *links, frames.flange, frames.tool)]
-        start, end = (np.array([in_part[k].apply(place) for k, place in zip(link, row, strict=True)]) for row in ends)
-        beside = _nearest(start[link > 0], end[link > 0], _from_box, low, high)
-        away = _nearest(start[one], end[one], _from_segment, start[two], end[two])
-        depths = [*np.concatenate(radius[link > 0, None] - beside), *((radius[one] + radius[two])[:, None] - away)]
-        for pair, depth in zip(names, depths, strict=True):
+        moved = [(k, in_part[k].apply(start), in_part[k].apply(end), radius) for k, start, end, radius in capsules]
+        pairs = []
+        for link, start, end, radius in moved:
+            for name, box in obstacles if link else ():
+                pairs.append((LINKS[link], name, radius - _nearest(start, end, _from_box, *box)))
+            for other, first, last, wide in moved:
+                # links in the chain from a link to the nearest link with which it is compared
+                if min(other, 6) - min(link, 6) >= 3:
+                    away = _nearest(start, end, _from_segment, first, last)
+                    pairs.append((LINKS[other], LINKS[link], radius + wide - away))
+        for body, obstacle, depth in pairs:
             k = int(np.argmax(depth))
-            if depth[k] > deepest.get(pair, (0.0, 0))[0]:
-                deepest[pair] = float(depth[k]), int(stamps[part][k])
+            if depth[k] > deepest.get((body, obstacle), (0.0, 0))[0]:
+                deepest[body, obstacle] = float(depth[k]), int(stamps[part][k])
     return [
         violation(
             "link contact",
@@ -247,27 +248,27 @@ def _obstacles(workpiece: Workpiece, stock: Stock) -> list[tuple[str, tuple[np.n
 
 
 def _nearest(start: np.ndarray, end: np.ndarray, distance: Callable[..., np.ndarray], *body: np.ndarray) -> np.ndarray:
-    """Return the least distance(points, *body) [m] of segments, ends (..., 3), from convex bodies, (...,)."""
-    low, high, way = np.zeros(1), np.ones(1), end - start
+    """Return the least distance(points, *body) [m] of segments from start to end (n, 3) from a convex body, (n,)."""
+    low, high = np.zeros((len(start), 1)), np.ones((len(start), 1))
     for _ in range(12):  # (2/3)^12: 1 % of the length, whose error in the distance is of second order
         first, second = low + (high - low) / 3.0, high - (high - low) / 3.0
-        near, far = (distance(start + share * way, *body)[..., None] for share in (first, second))
+        near, far = (distance(start + share * (end - start), *body)[:, None] for share in (first, second))
         nearer = near < far
         low, high = np.where(nearer, low, first), np.where(nearer, second, high)
-    return distance(start + 0.5 * (low + high) * way, *body)
+    return distance(start + 0.5 * (low + high) * (end - start), *body)
 
 
 def _from_box(points: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
-    """Return the distance of points (..., 3) from boxes [m], negative inside."""
+    """Return the distance of points (n, 3) from a box [m], negative inside."""
     beyond = np.maximum(low - points, points - high)
-    return np.linalg.norm(np.maximum(beyond, 0.0), axis=-1) + np.minimum(beyond.max(axis=-1), 0.0)
+    return np.linalg.norm(np.maximum(beyond, 0.0), axis=1) + np.minimum(beyond.max(axis=1), 0.0)
 
 
 def _from_segment(points: np.ndarray, start: np.ndarray, end: np.ndarray) -> np.ndarray:
-    """Return the distance of points (..., 3) from segments (..., 3) to (..., 3) [m]."""
+    """Return the distance of points (n, 3) from segments (n, 3) to (n, 3) [m]."""
     along = end - start
-    share = np.sum((points - start) * along, axis=-1) / np.maximum(np.sum(along * along, axis=-1), 1e-12)
-    return np.linalg.norm(points - start - np.clip(share, 0.0, 1.0)[..., None] * along, axis=-1)
+    share = np.einsum("ij,ij->i", points - start, along) / np.maximum(np.einsum("ij,ij->i", along, along), 1e-12)
+    return np.linalg.norm(points - start - np.clip(share, 0.0, 1.0)[:, None] * along, axis=1)
 
 
 ARCSEC = math.pi / 648000  # [rad]
