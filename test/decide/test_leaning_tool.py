@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import os
-
 import pytest
+from budget import LONG
 from samples.leaning import SHAPES, TILTS, Slot
 
 from kr270_milling.cell.models import path_of
 from kr270_milling.decide.check_cut import path_contacts
 
-WHOLE = bool(os.environ.get("KR270_MILLING_LONG_TESTS"))  # all 177 collisions; otherwise two of each tool and tilt
-SLOTS = [(shape, tilt) for k, tilt in enumerate(TILTS) for n, shape in enumerate(SHAPES) if WHOLE or (k + n) % 3 == 0]
+#: a long run has all 177 collisions
+SLOTS = [(shape, tilt) for k, tilt in enumerate(TILTS) for n, shape in enumerate(SHAPES) if LONG or (k + n) % 3 == 0]
 
 
 def contacts(cell) -> list:
@@ -24,7 +23,7 @@ def test_each_collision_of_a_leaning_tool_is_found_with_its_depth_and_the_sound_
     """0.3 mm beside a collision is sound; depths to 0.15 mm, the width of a cell of the map."""
     slot = Slot(*SLOTS[number])
     rows = list(slot.collisions().items())
-    for name, row in rows if WHOLE else rows[number % 8 :: 8]:
+    for name, row in rows if LONG else rows[number % 8 :: 8]:
         named = [f for f in contacts(slot.cell(tmp_path, row.settings, row.moves)) if f.what == row.kind]
         values = [f.value for f in named if row.words in f.sentence]
         assert values, (name, SLOTS[number])

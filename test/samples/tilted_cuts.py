@@ -174,7 +174,7 @@ def bore_error(tool: Tool, cutting: Cutting, around=2e-3, pitch=1e-3, dt=4e-3) -
 
     def inside(places):
         fresh = places[..., 2] < top
-        for back in np.radians(np.arange(2.0, 362.0, 2.0)):  # earlier tips from the present one, which moves along x
+        for back in np.radians(np.arange(4.0, 364.0, 4.0)):  # earlier tips from the present one, which moves along x
             x, y = -around * math.sin(back), around * (math.cos(back) - 1.0)
             up = places[..., 2] - fall * back
             fresh &= ~((up > 0.0) & (np.hypot(places[..., 0] - x, places[..., 1] + y) < np.interp(up, h, r)))
