@@ -57,10 +57,11 @@ def simulate(
     progress=None,
     plant: Plant | None = None,
     most_rows: float = math.inf,
+    quick: bool = False,
 ) -> ScoredPass:
     """Run a pass on a fresh workpiece along ``reference`` (default: the target itself); plant: what runs it instead.
 
-    most_rows: of the result, see ``PassResult.every``.
+    most_rows: of the result, see ``PassResult.every``; quick: see ``run_pass``.
     """
     target = path_of(cell).target
     reference = target if reference is None else reference
@@ -80,6 +81,7 @@ def simulate(
         progress,
         path_of(cell).drilling_at,
         most_rows,
+        quick,
     )
     if not path_of(cell).straight:  # its sweep takes long, so the assessment of the part uses this workpiece
         result = dataclasses.replace(result, heights=cut.map_heights()[2])

@@ -245,7 +245,7 @@ def _cut(
         if ran is None:
             with progress("milling") as report:
                 most_rows = 2**19  # rows of the series of the simulated pass, some 220 bytes each: 35 min at 4 ms
-                ran = simulate(cell, run, "checked", report, most_rows=most_rows)
+                ran = simulate(cell, run, "checked", report, most_rows=most_rows, quick=True)
     except PassError as error:
         point = int(np.searchsorted(run.time, error.at)) + 1
         failed = violation("deflection", error.deflection, FLIGHT, point, sentence=str(error))

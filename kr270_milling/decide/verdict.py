@@ -263,7 +263,7 @@ def monte_carlo(
 
         def run(k: int, plant: Cell) -> tuple[np.ndarray, float | None]:
             chosen = list(references.values()) if k < comparing else [revised]
-            rows = run_sample(plant, target, (target, *chosen), gauge)
+            rows = run_sample(plant, target, (target, *chosen), gauge, quick=nominal is not cell)
             return rows, _tracked(cell, plant, gauge) if k < learning else None
 
         return each_robot(nominal, samples, seed, run, count)
@@ -354,25 +354,30 @@ def drawn_errors(
     gauge = gauge_of(nominal)
 
     def errors(_: int, robot: Cell) -> np.ndarray:
-        return run_sample(robot, target, references, gauge, first)
+        return run_sample(robot, target, references, gauge, first, nominal is not cell)
 
     return np.array(each_robot(nominal, robots, seed, errors, count))
 
 
 def run_sample(
-    plant: Cell, target: Trajectory, references: Sequence[Trajectory], gauge: Judging, first: int = 0
+    plant: Cell,
+    target: Trajectory,
+    references: Sequence[Trajectory],
+    gauge: Judging,
+    first: int = 0,
+    quick: bool = False,
 ) -> np.ndarray:
     """The error [m] of one plant along k references, and its share of the tolerance, (k, 2).
 
     NaN where the plant does not survive a reference; a share is also NaN without a tolerance. The references are
     corrections of one target: the arm's model along the target holds for all. first: number of the first pass, on which
-    the repeatability depends.
+    the repeatability depends; quick: see ``run_pass``.
     """
     rows = np.full((len(references), 2), np.nan)
     with contextlib.suppress(MillingError):
         model = arm_model_of(plant, target)
         for k, reference in enumerate(references):
-            rows[k] = _errors(plant, model, target, reference, first + k, gauge)
+            rows[k] = _errors(plant, model, target, reference, first + k, gauge, quick)
     return rows
 
 
@@ -383,13 +388,14 @@ def _errors(
     reference: Trajectory,
     number: int,
     gauge: Judging,
+    quick: bool,
 ) -> tuple[float, float]:
     """The error [m] of a pass, by its number, and its share of the tolerance; NaN where the plant is unstable."""
     cut = cut_of(plant)
     ran = run_pass(
         imperfect_arm(plant, reference, model), cut, path_of(plant).clock, target,
         imperfect_course(plant, reference, number, target), plant.exchange.iterations,
-        silent=path_of(plant).drilling_at,
+        silent=path_of(plant).drilling_at, quick=quick,
     )  # fmt: skip
     if np.abs(path_deviation(ran.actual, ran.target, target.sample_velocity(ran.time_ns))).max() >= DIVERGED:
         return math.nan, math.nan

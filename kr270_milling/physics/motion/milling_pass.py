@@ -31,7 +31,7 @@ SERIES: dict[str, tuple[int, ...]] = {
     "correction": (), "torque": (), "volume": (),
 }  # fmt: skip
 MANY = 100_000  #: exchange periods of a long pass, 7 min at 4 ms
-#: exchange periods that a long pass of the mean force makes at once while the cut is steady: the tool is less than
+#: exchange periods that a quick pass of the mean force makes at once while the cut is steady: the tool is less than
 #: ``STEADY`` [m] from the chord of its way, the change of the force moves it by less than that, and it sinks or rises
 #: by less than six times as much
 TOGETHER, STEADY = 8, 0.4e-6
@@ -270,14 +270,15 @@ def run_pass(
     progress: Callable[[int, int], None] | None = None,
     silent: Callable[[np.ndarray], np.ndarray] | None = None,
     most_rows: float = math.inf,
+    quick: bool = False,
 ) -> PassResult:
     """Run a pass along ``reference`` on the workpiece of ``cut``, whose grid it changes; workpiece frame.
 
     silent: stamps (n,) [ns] -> whether the force is not modelled there, (n,) bool: drilling. The tool then removes
     material without a force, and the period counts as one without a cut. most_rows: of the result; those of a longer
     pass combine several periods, see ``PassResult.every``.
-    progress(done, total) is called every 4000 exchange periods. A pass of ``MANY`` periods makes ``TOGETHER`` at once
-    where the cut is steady. Raises MillingError if the grid has no more tiles or the periods are too long to be
+    progress(done, total) is called every 4000 exchange periods. quick: a pass of ``MANY`` periods makes ``TOGETHER`` at
+    once where the cut is steady. Raises MillingError if the grid has no more tiles or the periods are too long to be
     iterated, and PassError where the arm would fly off.
     """
     chunk = 4000  # exchange periods between two reports of progress
@@ -290,7 +291,7 @@ def run_pass(
     series = {name: np.zeros((count, *shape)) for name, shape in SERIES.items()}
     series["time_ns"] = np.zeros(count, np.int64)
     filled = 0
-    most = TOGETHER if cut.mean and iterations == 1 and n >= MANY else 1
+    most = TOGETHER if quick and cut.mean and iterations == 1 and n >= MANY else 1
     cut_state = cut.state if iterations > 1 or most > 1 else cut.state_of_pass
     area, volume, undercut, wall = cut.removed_area, cut.removed_volume, cut.undercut_volume, 0.0
     for begin in range(0, max(n, 1), window):
