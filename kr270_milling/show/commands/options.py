@@ -450,8 +450,8 @@ def _add_replay(parser) -> None:
     add(
         "--recompute",
         action="store_true",
-        help="no playback: recompute every output and compare bit for bit; exit code 1 if one differs, is "
-        "missing or is left over, or the recompute cannot continue",
+        help="no playback: recompute every output, compare bit for bit, and count what is missing; exit code 1 if one "
+        "differs, the file is damaged, or the recompute cannot continue",
     )
     _shared(parser, "--cell")
     _shared(parser, "--remap")
