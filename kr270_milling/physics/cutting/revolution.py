@@ -410,9 +410,10 @@ def edge_load(s, p, motion, frame, passes, used, tilted, wrench):
                 skew = (normal * normal - spread * spread) / max(normal - own_c, 0.1 * normal) - normal
                 skew = min(max(skew / spread, -1.0), 1.0)
                 points = 2 if spread > 0.05 * normal else 1
-            most = MOST if crossed else 50.0  # a volume beside d.n = 0 had up to 70 m of edge
-            if amount > most * area * room:
-                area = amount / (most * room)
+            # a volume beside d.n = 0 had up to 70 m of edge; of a flank, the height that counts is its radius
+            most = MOST * room if crossed else 50.0 * min(room, width * p.radius)
+            if amount > most * area:
+                area = amount / most
                 normal = area / lever
             arm = area / normal
             whole = teeth * amount / (arm * (normal + skew * spread))
