@@ -69,11 +69,11 @@ def ends_out_of_reach(placed: PlacedArm, safe: float, run: Trajectory) -> list[F
     for knot, name in ((0, "approach"), (-1, "retract")):
         quaternion = run.quaternion[[knot, knot]]
         place = lifted(run.position[knot], tool_axis(quaternion[0]), safe)
-        for found in _reach(placed, Trajectory(np.array([0, 1]), np.tile(place, (2, 1)), quaternion)):
-            words = found.sentence.replace("at points 1 to 2", f"in the {name} of the robot program")
+        for finding in _reach(placed, Trajectory(np.array([0, 1]), np.tile(place, (2, 1)), quaternion)):
+            words = finding.sentence.replace("at points 1 to 2", f"in the {name} of the robot program")
             words = words.replace(" at point 1", "")
-            where = dataclasses.replace(found.where, point=len(run) if knot else 1)
-            findings.append(dataclasses.replace(found, sentence=words, where=where))
+            where = dataclasses.replace(finding.where, point=len(run) if knot else 1)
+            findings.append(dataclasses.replace(finding, sentence=words, where=where))
     return findings
 
 

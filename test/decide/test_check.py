@@ -76,9 +76,9 @@ def test_out_of_reach_names_all_points_that_are(cell):
 
 def test_an_approach_or_a_retract_out_of_reach_is_named_at_its_end_of_the_path(cell):
     target = path_of(cell).target
-    found = ends_out_of_reach(arm_of(cell), 9.0, target)
-    assert [(f.what, f.where.point) for f in found] == [("reach", 1), ("reach", len(target))]
-    assert "in the retract of the robot program: the wrist centre would be" in found[1].sentence
+    findings = ends_out_of_reach(arm_of(cell), 9.0, target)
+    assert [(f.what, f.where.point) for f in findings] == [("reach", 1), ("reach", len(target))]
+    assert "in the retract of the robot program: the wrist centre would be" in findings[1].sentence
     assert not ends_out_of_reach(arm_of(cell), 0.05, target)
 
 
