@@ -40,6 +40,14 @@ def contacts_in(cell, run) -> list:
     return link_contacts(arm_of(cell), cell.tool.stick_out, cell.workpiece, cell.stock, run)
 
 
+@pytest.mark.parametrize("key", ["d1", "a1", "a2", "a3", "d4", "d6"])
+def test_a_link_without_length_has_finite_capsules(key):
+    """A capsule that is not a number would be in no contact."""
+    cell = cell_of()
+    for _, start, end, radius in link_capsules(cell.arm.replace(**{key: 0.0}), cell.mount):
+        assert np.isfinite([*start, *end, radius]).all()
+
+
 def test_boxes_in_the_links_are_found_with_the_depth_of_a_dense_sampling_and_the_others_are_not():
     """Each of 24 boxes begins within or beside the hull of one link at the start; the arm hardly moves."""
     cell, rng, contacts = cell_of("stock.max_mm=[40,40,0]"), np.random.default_rng(3), 0

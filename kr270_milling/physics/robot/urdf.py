@@ -125,7 +125,7 @@ def _cylinder(start, end, radius: float, colour: str) -> Solid:
     start, end = np.asarray(start, float), np.asarray(end, float)
     along = end - start
     length = float(np.linalg.norm(along))
-    axis = along / length  # roll about x, then pitch about y, then yaw about z bring z there
+    axis = along / max(length, 1e-12)  # roll about x, then pitch about y, then yaw about z bring z there
     rpy = np.array([0.0, np.arctan2(np.hypot(axis[0], axis[1]), axis[2]), np.arctan2(axis[1], axis[0])])
     return Solid((radius, length), (start + end) / 2, rpy, colour)
 
