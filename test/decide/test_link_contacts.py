@@ -40,7 +40,7 @@ def contacts_in(cell, run) -> list:
     return link_contacts(arm_of(cell), cell.tool.stick_out, cell.workpiece, cell.stock, run)
 
 
-@pytest.mark.parametrize("key", ["d1", "a1", "a2", "a3", "d4", "d6"])
+@pytest.mark.parametrize("key", ["d1", "a1", "a3", "d6"])
 def test_a_link_without_length_has_finite_capsules(key):
     """A capsule that is not a number would be in no contact."""
     cell = cell_of()

@@ -150,7 +150,7 @@ def _arm_solids(arm: Arm) -> list[list[Solid]]:
         ],
         [
             _cylinder((0, 0, 0.42 * arm.d1), (0, 0, 0.80 * arm.d1), 0.33 * s, "arm"),
-            _box((arm.a1 + 0.2 * s, 0.30 * s, 0.36 * s), (0.5 * arm.a1, 0.0, arm.d1 - 0.06 * s), "arm"),
+            _box((abs(arm.a1) + 0.2 * s, 0.30 * s, 0.36 * s), (0.5 * arm.a1, 0.0, arm.d1 - 0.06 * s), "arm"),
             _hub((arm.a1, 0.0, arm.d1), 0.20 * s, 0.46 * s, "dark"),
         ],
         [
