@@ -166,7 +166,7 @@ class ForceLaw(Record):
     def table(self) -> np.ndarray:
         """F_t, F_r and F_a as lines over h, each offset and slope, in the rows that ``forces_at`` looks up, (n, 6).
 
-        There are 64 rows for each octave of h: a power of h below 1 is within 1e-5, and a straight line is exact.
+        There are 64 rows for each octave of h: a power of h below 1 is within 2e-5, and a straight line is exact.
         """
         h = (np.arange(FIRST, FIRST + 64 * OCTAVES + 1) << SHIFT).view(np.float64)
         forces = np.stack(self.per_depth(h), -1)
