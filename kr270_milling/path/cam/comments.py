@@ -193,10 +193,11 @@ def described_tool(comment: str, unit: float, changed: str | None = None, beside
     name = f"T{int(number)}" if number else changed
     diameter = _diameter(comment, unit)
     teeth = TEETH.search(comment)
-    phrase = KIND.search(comment)
-    words = " ".join(phrase.group().split()).lower().strip("- ") if phrase else ""
+    phrases = [" ".join(phrase.group().split()).lower().strip("- ") for phrase in KIND.finditer(comment)] or [""]
+    operations = ("drill", "tap", "probe")  # names of operations and of tools
+    words = next((phrase for phrase in phrases if phrase not in operations and kind_of(phrase)), phrases[0])
     about_tool = bool(number or beside or ABOUT_TOOL.match(comment))
-    operation = words in ("drill", "tap", "probe")  # names of operations and of tools
+    operation = words in operations
     kind = kind_of(comment if about_tool else "" if operation else words)
     if name is None or not (words or kind or teeth or (diameter and (number or re.search(r"\bdia", comment, re.I)))):
         return None
