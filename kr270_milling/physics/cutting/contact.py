@@ -6,7 +6,8 @@ as deep as the surface of the map is above this point, times the cosine of the s
 it reaches from the lower end of the body up to the surface, or to the place where the vertical line leaves the body.
 
 Cells at the rim of a cut keep part of their height. Therefore a node counts only where it is further within the shadow
-of the body than half a cell, and its material further within the side of the body.
+of the body than half a cell, and its material further within the side of the body. The depth along the axis gets this
+distance back: at 60 deg it is 0.12 mm of a map of 0.1 mm.
 """
 
 from __future__ import annotations
@@ -126,7 +127,8 @@ def _contact(pool, table, highest, grid, body, poses, inset, least, hollow, dept
                     depth[m, 0] = max(depth[m, 0], (surface - z) * -nz)
                     if s > FLAT:
                         surface = min(surface, (u * c + math.sqrt(max(r * r - v * v, 0.0))) / s)
-                    depth[m, 1] = max(depth[m, 1], u * s + surface * c - foot)
+                    rest = inset[m] * s / c  # to the side of the body, up the surface
+                    depth[m, 1] = max(depth[m, 1], u * s + surface * c - foot + rest)
 
 
 @compiled
