@@ -24,7 +24,7 @@ from kr270_milling.decide.check_arm import (
     corner_blending,
     correction_per_tick,
     correction_size,
-    ends_out_of_reach,
+    end_violations,
     link_contacts,
     load_reversals,
 )
@@ -186,6 +186,8 @@ def check(
     if reachable and reference is None and path.target is not run:
         run = path.target  # slowed down to what the joints can do
         results, _ = arm_violations(arm_of(cell), cell.limits, run)
+    if reachable:
+        results += end_violations(cell, run)
     del joints  # of a long program they take 100 MB
     joints_at_knots.cache_clear()
     results += [*input_violations(cell), *more]
@@ -196,7 +198,6 @@ def check(
         straight = run.velocity is None and path.target.velocity is not None
         robot_program = cell.krl.replace(motion=motion or ("LIN" if straight else cell.krl.motion))
         results += _correction(cell, path.target, run, robot_program)
-        results += ends_out_of_reach(arm_of(cell), float(cell.stock.max[2]) + cell.krl.safe_height, run)
         fixed = fixed_knots(path.target.standing, knot_feeds(path, len(path.target)))
         with ThreadPoolExecutor(1) as pool:  # on another core than the pass
             contacts, statement = pool.submit(path_contacts, cell, run), pool.submit(stability_statement, cell)
