@@ -601,6 +601,17 @@ def test_points_are_few_and_the_path_through_them_is_the_planned_one(part, tmp_p
     assert coarse.min() >= 30_000_000 and len(coarse) < len(knots)
 
 
+def test_a_spline_keeps_its_tolerance_between_the_knots_too():
+    """Knots 1.9 um beside a line in the order + + - -: the curve between two of a side is 1.9 * 5 / 4 um beside it."""
+    across = np.resize([1.9e-6, 1.9e-6, -1.9e-6, -1.9e-6], 60)
+    across[[0, 1, -2, -1]] = 0.0
+    run = spline(np.arange(60) * 12_000_000, np.stack([1e-3 * np.arange(60), across, 0.0 * across], axis=1))
+    knots = point_numbers(Program(tolerance=2e-6), run, run)
+    x = np.arange(0.0, 59.1, 0.5)  # the way is that along the line
+    curve = CubicSpline(knots, across[knots], bc_type="natural")(x)
+    assert np.abs(run.sample((x * 12_000_000).astype(int))[:, 1] - curve).max() < 2e-6
+
+
 @pytest.mark.parametrize("blend", [0.0, 1e-3, 3e-3, 1.0])
 @pytest.mark.parametrize("stop", [False, True])
 def test_lin_motions_are_blended_by_the_parabola_that_touches_both_lines(blend, stop):
