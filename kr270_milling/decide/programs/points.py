@@ -255,11 +255,15 @@ class ProgramBlocks:
 
 
 def program_blocks(
-    program: Program, original: Trajectory, revised: Trajectory, fixed: np.ndarray | None = None
+    program: Program,
+    original: Trajectory,
+    revised: Trajectory,
+    points: np.ndarray,
+    auxiliary: np.ndarray,
+    stops: np.ndarray,
 ) -> ProgramBlocks:
-    """Return the size of the blocks of the program of ``revised``; fixed: as of ``point_numbers``."""
-    points, auxiliary = program_points(program, original, revised, fixed)
-    error = _errors(program, original, revised, original.standing)(points, auxiliary).max()
+    """Return the size of the blocks of the program of ``revised``; points, auxiliary, stops: its layout."""
+    error = _errors(program, original, revised, stops)(points, auxiliary).max()
     points = points[~auxiliary]
     time = original.time_ns[points]
     step = np.diff(time)
@@ -315,8 +319,8 @@ def _errors(
 ) -> Callable:
     """Return the function of points and auxiliary points that yields the distance [m] of each knot from the program.
 
-    The larger one of both runs, (n,), of a knot or of the middle of the step after it on a spline. knots: those that may
-    be points, (k,); the middles that all of them miss by more than the tolerance are left out, None: no middle is.
+    The larger one of both runs, (n,), of a knot or, on a spline, of the middle of the step after it. knots: those that
+    may be points, (k,); middles that all of them miss by more than the tolerance are left out. None: no middle is.
     """
     runs, first = [original] if revised is original else [original, revised], np.arange(len(stops))
     spline = program.motion == "SPLINE"
@@ -338,10 +342,10 @@ def _errors(
 
     if spline and original.velocity is not None and revised.velocity is not None:
         curves, middles = runs, original.time_ns[:-1] + np.diff(original.time_ns) // 2
-        for near in (True, False) if knots is not None else (False,):
+        for near in (True, False):
             time_ns = np.union1d(original.time_ns, middles)
             first = np.searchsorted(time_ns, original.time_ns)
             runs = [Trajectory(time_ns, run.sample(time_ns), run.sample_orientation(time_ns)) for run in curves]
-            if near:
+            if near and knots is not None:
                 middles = middles[errors(knots)[:-1] <= program.tolerance]
     return errors
