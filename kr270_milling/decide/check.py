@@ -24,7 +24,7 @@ from kr270_milling.decide.check_arm import (
     corner_blending,
     correction_per_tick,
     correction_size,
-    ends_out_of_reach,
+    end_violations,
     link_contacts,
     load_reversals,
 )
@@ -33,9 +33,10 @@ from kr270_milling.decide.findings import SEVERITIES, Finding, gathered, placed,
 from kr270_milling.decide.inputs import input_violations
 from kr270_milling.decide.programs.files import knot_feeds
 from kr270_milling.decide.programs.points import ProgramBlocks, fixed_knots, program_blocks, program_points
+from kr270_milling.decide.programs.written import drafted
 from kr270_milling.decide.stability import Stability, chatter_violations, stability_statement
 from kr270_milling.path.source_program import SourceProgram
-from kr270_milling.path.trajectory import Trajectory
+from kr270_milling.path.trajectory import Trajectory, TrajectoryError
 from kr270_milling.physics.motion.milling_pass import FLIGHT, PassError
 from kr270_milling.physics.robot.errors import DeflectionError, EquilibriumError, UnstableLoadError
 
@@ -90,7 +91,7 @@ class Checked:
     exchange: tuple[float, str] | None = None  #: largest correction of a predicted pose as a share, and its line
     #: each reversal, with its jump; None: no pass was simulated
     load_reversals: tuple[Finding, ...] | None = column("load_reversals", default=None)
-    #: robot program; None: the arm cannot make the path
+    #: robot program; None: the arm cannot make the path, or no program holds it
     blocks: ProgramBlocks | None = column("program", default=None)
 
     def __repr__(self) -> str:
@@ -186,6 +187,8 @@ def check(
     if reachable and reference is None and path.target is not run:
         run = path.target  # slowed down to what the joints can do
         results, _ = arm_violations(arm_of(cell), cell.limits, run)
+    if reachable:
+        results += end_violations(cell, run)
     del joints  # of a long program they take 100 MB
     joints_at_knots.cache_clear()
     results += [*input_violations(cell), *more]
@@ -196,16 +199,14 @@ def check(
         straight = run.velocity is None and path.target.velocity is not None
         robot_program = cell.krl.replace(motion=motion or ("LIN" if straight else cell.krl.motion))
         results += _correction(cell, path.target, run, robot_program)
-        results += ends_out_of_reach(arm_of(cell), float(cell.stock.max[2]) + cell.krl.safe_height, run)
-        fixed = fixed_knots(path.target.standing, knot_feeds(path, len(path.target)))
         with ThreadPoolExecutor(1) as pool:  # on another core than the pass
             contacts, statement = pool.submit(path_contacts, cell, run), pool.submit(stability_statement, cell)
             links = pool.submit(link_contacts, arm_of(cell), cell.tool.stick_out, cell.workpiece, cell.stock, run)
-            size = pool.submit(program_blocks, robot_program, path.target, run, fixed)
+            size = pool.submit(_blocks, cell, run, robot_program)
             ran, cut = _cut(cell, run, ran, contacts, progress)
             results += [*links.result(), *cut]
             about |= {"ran": ran, "blocks": size.result()}
-            if robot_program.motion == "LIN" and not robot_program.blend_distance:
+            if robot_program.motion == "LIN" and not robot_program.blend_distance and about["blocks"]:
                 results.append(violation("no blending", about["blocks"].points, int(path.target.standing.sum())))
             about["rapid_moves"] = tuple(placed(path, run, f) for f in cut if f.what == "rapid in material")
             with contextlib.suppress(*arm_errors), progress("stability"):  # the pass reports the same error
@@ -217,6 +218,14 @@ def check(
             about |= shown
     program = fed.toolpath.program if fed else SourceProgram()
     return Checked(gathered(path, run, results), len(run), program, **about)
+
+
+def _blocks(cell: Cell, run: Trajectory, robot_program: Program) -> ProgramBlocks | None:
+    """Return the size of the blocks of the program as ``compensate`` writes it; None where no program holds it."""
+    with contextlib.suppress(TrajectoryError):
+        layout = drafted(cell, run, robot_program.motion)[1]
+        return program_blocks(robot_program, path_of(cell).target, run, *layout)
+    return None
 
 
 def _of_pass(

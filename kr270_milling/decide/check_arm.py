@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import re
 from collections.abc import Callable, Sequence
 
 import numpy as np
@@ -20,7 +21,9 @@ import numpy as np
 from kr270_milling.base.blocks import blocks
 from kr270_milling.base.frames import Pose, lifted, rotation_from_quaternion, tool_axis
 from kr270_milling.cell.arm import PlacedArm
+from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import ScoredPass
+from kr270_milling.cell.models import arm_of
 from kr270_milling.cell.paths import CellPath
 from kr270_milling.cell.plant import joint_gaps
 from kr270_milling.cell.sections import Limits, Workpiece
@@ -63,17 +66,27 @@ def arm_violations(placed: PlacedArm, limits: Limits, run: Trajectory) -> tuple[
     return results + rates, joints
 
 
-def ends_out_of_reach(placed: PlacedArm, safe: float, run: Trajectory) -> list[Finding]:
-    """Return a finding where approach or retract of the robot program, up to a height [m], is out of reach."""
-    findings = []
+def end_violations(cell: Cell, run: Trajectory) -> list[Finding]:
+    """The findings about approach and retract of the robot program, beside a trajectory that the arm can follow."""
+    placed, safe, spacing = arm_of(cell), float(cell.stock.max[2]) + cell.krl.safe_height, 5e-3  # [m]
+    joints, findings = placed.joints(run), []
     for knot, name in ((0, "approach"), (-1, "retract")):
-        quaternion = run.quaternion[[knot, knot]]
-        place = lifted(run.position[knot], tool_axis(quaternion[0]), safe)
-        for finding in _reach(placed, Trajectory(np.array([0, 1]), np.tile(place, (2, 1)), quaternion)):
-            words = finding.sentence.replace("at points 1 to 2", f"in the {name} of the robot program")
-            words = words.replace(" at point 1", "")
+        place, axis = run.position[knot], tool_axis(run.quaternion[knot])
+        rise = float(np.linalg.norm(lifted(place, axis, safe) - place))
+        if rise < 1e-6:
+            continue
+        way = np.linspace(0.0, rise, 3 + math.ceil(rise / spacing))[1:]
+        time_ns = np.rint(1e9 * (way - way[0]) / max(cell.krl.approach_feed, 1e-3)).astype(np.int64)
+        lift = Trajectory(time_ns, place + way[:, None] * axis, np.tile(run.quaternion[knot], (len(way), 1)))
+        arm = dataclasses.replace(placed, near=tuple(joints[knot]))
+        results, reached = arm_violations(arm, cell.limits, lift)
+        if reached is not None and not any(finding.what == "joint limit" for finding in results):
+            results += link_contacts(arm, cell.tool.stick_out, cell.workpiece, cell.stock, lift)
+        for finding in results:
+            words = re.sub(r" (at|between|\() ?points? [\d toand]*\d\)?", "", finding.sentence)
             where = dataclasses.replace(finding.where, point=len(run) if knot else 1)
-            findings.append(dataclasses.replace(finding, sentence=words, where=where))
+            sentence = f"{name} of the robot program: {words}"
+            findings.append(dataclasses.replace(finding, sentence=sentence, where=where))
     return findings
 
 

@@ -26,6 +26,7 @@ class TopicSeries(NamedTuple):
 
     stamp: np.ndarray  #: [ns], (n,) int64
     values: np.ndarray  #: SI units, (n, 7) position and quaternion x y z w, or (n, 6) translations before rotations
+    unreadable: int = 0  #: messages that are not of its type, or not in the frame that is asked for
 
 
 def series(recording: Recording, topic: str) -> TopicSeries:
@@ -53,6 +54,8 @@ def several(
     for message in recording.messages(set(receivers), on_damage):
         if fits[message.channel]:
             receivers[message.topic](message.data)
+        elif message.topic in batches:
+            batches[message.topic].unreadable += 1
     return [batches[topic].series() for topic in topics]
 
 
@@ -70,6 +73,7 @@ class _Batch:
         self._width = len(FIXED[about.type])
         self._layout: tuple = ()
         self._refused: ValueError | None = None
+        self.unreadable = 0
         self._waiting: list[bytes] = []
         self._stamps, self._values = [np.empty(0, np.int64)], [np.empty((0, self._width))]
 
@@ -87,8 +91,10 @@ class _Batch:
             frame, stamps, values = unpack_alike(messages, self._width)
         except ValueError as error:  # of another publisher
             self._refused = error
+            self.unreadable += len(messages)
             return
         if self._frame not in (None, frame):
+            self.unreadable += len(messages)
             return
         self._stamps.append(stamps)
         self._values.append(values)
@@ -98,10 +104,10 @@ class _Batch:
         if self._refused and len(self._stamps) == 1:
             reason = f"a message on {self._topic} is not a {self._type}: {self._refused}"
             raise RecordingError(self._path, reason) from self._refused
-        result = TopicSeries(np.concatenate(self._stamps), np.concatenate(self._values))
-        for column in result:
+        columns = np.concatenate(self._stamps), np.concatenate(self._values)
+        for column in columns:
             column.setflags(write=False)
-        return result
+        return TopicSeries(*columns, self.unreadable)
 
 
 EXCHANGED = ("tool_pose", "wrench", "deflection")
@@ -249,7 +255,8 @@ def read_graph(
     series = several(recording, list(topics.values()), others, WORKPIECE, on_damage)
     if not graph.references:
         raise RecordingError(recording.path, f"{reference} has no message that is a path of the tool")
-    recorded = {kind: rows for kind, rows in zip(topics, series, strict=True) if kind in topics}
+    recorded = dict(zip(topics, series, strict=True))
+    graph.refused.update({kind: rows.unreadable for kind, rows in recorded.items()})
     own = [
         state for state in joints if set(joint_names) <= set(state.names) and len(state.names) == len(state.position)
     ]

@@ -26,7 +26,7 @@ from kr270_milling.decide.check_arm import (
     corner_blending,
     correction_per_tick,
     correction_size,
-    ends_out_of_reach,
+    end_violations,
 )
 from kr270_milling.decide.check_cut import HOLLOW, INSERT_RAMP, core_radius, engagement, rapid_violations
 from kr270_milling.decide.findings import violations
@@ -74,12 +74,36 @@ def test_out_of_reach_names_all_points_that_are(cell):
     assert finding.value == pytest.approx(away.max(), abs=1e-9)
 
 
-def test_an_approach_or_a_retract_out_of_reach_is_named_at_its_end_of_the_path(cell):
-    target = path_of(cell).target
-    findings = ends_out_of_reach(arm_of(cell), 9.0, target)
-    assert [(f.what, f.where.point) for f in findings] == [("reach", 1), ("reach", len(target))]
-    assert "in the retract of the robot program: the wrist centre would be" in findings[1].sentence
-    assert not ends_out_of_reach(arm_of(cell), 0.05, target)
+def ends_at(height: float, *more: str):
+    cell = read_cell(find_file("paper.yaml"), [f"program.safe_height_mm={height}", *more])
+    run = path_of(cell).target
+    findings, names = end_violations(cell, run), {1: "approach", len(run): "retract"}
+    for finding in findings:
+        assert finding.sentence.startswith(f"{names[finding.where.point]} of the robot program: ")
+        assert "point" not in finding.sentence
+    return cell, run, {finding.what for finding in findings}
+
+
+@pytest.mark.parametrize("height", [50, 800, 1500])
+def test_approach_and_retract_are_judged_as_the_path_and_named_at_its_ends(height):
+    cell, run, kinds = ends_at(height)
+    lift, expected = np.arange(0.0, 1e-3 * height, 1e-3)[:, None] * [0.0, 0.0, 1.0], set()
+    any_joints = replace(arm_of(cell), arm=cell.arm.replace(joint_lower=np.full(6, -9.0), joint_upper=np.full(6, 9.0)))
+    for k in (0, -1):
+        joints = any_joints.joints_at(run.position[k] + lift, run.quaternion[[k] * len(lift)])
+        if (joints < cell.arm.joint_lower).any() or (joints > cell.arm.joint_upper).any():
+            expected.add("joint limit")
+        if np.abs(joints[:, 4]).min() < math.radians(3.0):  # A5 passes through zero
+            expected |= {"singularity", "configuration flip"}
+    assert kinds == expected and bool(expected) == (height > 50)
+
+
+def test_a_retract_out_of_reach_or_into_a_fixture_is_found():
+    far = "workpiece.xyz_mm=[0,-2433.2,1485.76]"
+    assert ends_at(800, far)[2] == set() and ends_at(2000, far)[2] == {"reach"}
+    above_the_end = "workpiece.fixtures_mm=[60,-10,{},80,10,{}]"
+    for height, kinds in ((800, {"link contact"}), (300, set())):
+        assert ends_at(height, far, above_the_end.format(900, 910))[2] == kinds
 
 
 def test_a_joint_beyond_its_range_or_too_fast_or_hard_is_named_with_its_worst_point(cell):

@@ -238,6 +238,25 @@ def test_feeds_meet_a_linear_load_and_stay_where_the_load_does_not_respond(tmp_p
     assert tried[-1][~cut] == pytest.approx(1.0)
 
 
+@pytest.mark.parametrize(("median", "worst", "slower"), [(0.9, 0.9, True), (1.5, 0.9, False), (0.9, 1.5, False)])
+def test_feeds_that_are_worse_for_half_or_a_tenth_of_the_robots_are_not_chosen(
+    tmp_path, monkeypatch, median, worst, slower
+):
+    """No robot is within the tolerance: as programmed half have errors of 2, a tenth of 4 tolerances."""
+    cell = small_part(tmp_path, GCODE, "part.tolerance_um=80", "compensation.feed=schedule")
+    rounds = []
+
+    def loads(tried_cell, method, motion, ends, count):
+        rounds.append(path_of(tried_cell).target.duration_ns)
+        ratio = (1.0, 1.0) if len(rounds) == 1 else (median, worst)
+        return np.full((16, 3, len(ends)), 2.0), np.repeat([2.0, 4.0], [10, 6]) * np.repeat(ratio, [10, 6])
+
+    monkeypatch.setattr(module, "_loads", loads)
+    chosen, _ = module.scheduled(cell, "none", "SPLINE")
+    assert len(rounds) > 1 and rounds[1] > rounds[0]
+    assert (path_of(chosen).target.duration_ns > rounds[0]) == slower
+
+
 def test_a_scheduled_feed_keeps_more_robots_within_the_tolerance_and_its_limits(tmp_path, monkeypatch):
     monkeypatch.setattr(module, "PLANNED", 4)
     settings = "cutting.detail=engagement", "part.tolerance_um=60", "limits.cutting_force_n=70"

@@ -100,20 +100,27 @@ def trajectory_hash(trajectory: Trajectory) -> str:
     return digest.hexdigest()
 
 
-def write_krl(
-    directory,
+def write_krl(directory, *contents, **more) -> tuple[list[Path], np.ndarray, list[tuple[int, int]]]:
+    """Write the files of ``program_files``, or none; return the paths, the knots that are points, and the parts."""
+    files, (points, *_), ends = program_files(*contents, **more)
+    paths = {Path(directory, name): lines for name, lines in files.items()}
+    write_files({path: (line + "\n" for line in lines) for path, lines in paths.items()}, newline="\r\n")
+    return list(paths), points, ends
+
+
+def program_files(
     program: Program,
     setup: Setup,
     original: Trajectory,
     revised: Trajectory,
     notes: Sequence[tuple[int, str]] = (),
     feeds: np.ndarray | None = None,
-) -> tuple[list[Path], np.ndarray, list[tuple[int, int]]]:
-    """Write all modules of both programs, or none; return the paths, the knots that are points, and the parts.
+) -> tuple[dict[str, list[str]], tuple[np.ndarray, np.ndarray, np.ndarray], list[tuple[int, int]]]:
+    """Return the lines of all modules of both programs by name, the layout, and the parts: first and last knot of each.
 
-    A part is its first and its last knot. notes: of ``knot_notes``; feeds: of ``fixed_knots``; None: not known.
-    Raises TrajectoryError for trajectories of different knots, and for more points than the modules or the memory can
-    hold.
+    Layout: the knots that are points (p,), the auxiliary ones among them (p,), and the knots of stops (n,).
+    notes: of ``knot_notes``; feeds: of ``fixed_knots``; None: not known. Raises TrajectoryError for trajectories of
+    different knots, and for more points than the modules or the memory can hold.
     """
     if not np.array_equal(original.time_ns, revised.time_ns) or original.frame != revised.frame:
         raise TrajectoryError("the original and the revised trajectory must share their knots and frame")
@@ -139,7 +146,7 @@ def write_krl(
         if sum(map(len, modules)) > 999:
             raise TrajectoryError(f"{len(points)} points need more than 999 modules of {program.line_limit} lines")
         ends = [(int(points[start - 1]), int(points[end - 1])) for start, end in parts]
-        files: dict[Path, list[str]] = {}
+        files: dict[str, list[str]] = {}
         size = 0
         for kind, run in runs.items():
             rows, speed = _rows(run)[points], point_speeds(program, run, points, auxiliary, feeds)
@@ -150,13 +157,12 @@ def write_krl(
             ]
             for part in _sources(program, setup, kind, run, moves, ends):
                 size = max(size, sum(len(line) + 2 for lines in part.values() for line in lines))
-                files |= {Path(directory, name): lines for name, lines in part.items()}
+                files |= part
         if size <= program.memory:
             break
         fitting = int(0.95 * program.memory / size * max(end - start for start, end in parts))
         parts = parts_of(len(points), original.standing[points] & above, fitting)
-    write_files({path: (line + "\n" for line in lines) for path, lines in files.items()}, newline="\r\n")
-    return list(files), points, ends
+    return files, (points, auxiliary, stops), ends
 
 
 def _sources(

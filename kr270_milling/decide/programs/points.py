@@ -2,8 +2,8 @@
 
 A point more is a block more for the planner of the controller. The points therefore begin with the stops. A stretch
 between two points is halved where a knot is farther than ``program.tolerance`` from its place on the path through the
-points (``path.controller_motion``), and points that are not needed are left out again. The controller plans the ramps
-along the path itself.
+points (``path.controller_motion``), and points that are not needed are left out again. A spline is compared in the
+middle between two knots too, where it can be near. The controller plans the ramps along the path itself.
 
 LIN motions have arcs where one replaces points. SPLINE blocks have none: a controller stops where SCIRC meets SLIN or
 another SCIRC, and SPL segments need a tenth fewer points with arcs between them than without.
@@ -12,6 +12,7 @@ another SCIRC, and SPL segments need a tenth fewer points with arcs between them
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -61,22 +62,23 @@ def point_numbers(
         return knots
     fixed = fixed[knots]
     fixed[[0, -1]] = True
-    runs = [original] if revised is original else [original, revised]
-    chosen = _refined(program, runs, stops, knots, fixed)
-    return knots[_thinned(program, runs, stops, knots, chosen, fixed)]
+    errors = _errors(program, original, revised, stops, knots)
+    chosen = _refined(program.tolerance, errors, knots, original.time_ns[knots], fixed)
+    return knots[_thinned(program.tolerance, errors, knots, chosen, fixed)]
 
 
-def _refined(
-    program: Program, runs: list[Trajectory], stops: np.ndarray, knots: np.ndarray, fixed: np.ndarray
-) -> np.ndarray:
-    """Halve the stretches between fixed knots until the error is in the tolerance; return indices into ``knots``."""
-    time, chosen = runs[0].time_ns[knots], np.flatnonzero(fixed)
+def _refined(tolerance: float, errors: Callable, knots: np.ndarray, time: np.ndarray, fixed: np.ndarray) -> np.ndarray:
+    """Halve the stretches between fixed knots until the error is in the tolerance; return indices into ``knots``.
+
+    errors: of ``_errors``; time: of the knots [ns].
+    """
+    chosen = np.flatnonzero(fixed)
     while True:
         middle = (time[chosen[1:]] + time[chosen[:-1]]) // 2
         later = np.searchsorted(time, middle)
         middle = later - (time[later] - middle > middle - time[later - 1])  # the knot nearest to the middle
         inside = (middle > chosen[:-1]) & (middle < chosen[1:])
-        wrong = _errors(program, runs, stops, knots[chosen]) > program.tolerance
+        wrong = errors(knots[chosen]) > tolerance
         split = inside & np.logical_or.reduceat(wrong, knots[chosen[:-1]])
         if not split.any():
             return chosen
@@ -87,15 +89,10 @@ def _refined(
 
 
 def _thinned(
-    program: Program,
-    runs: list[Trajectory],
-    stops: np.ndarray,
-    knots: np.ndarray,
-    chosen: np.ndarray,
-    fixed: np.ndarray,
+    tolerance: float, errors: Callable, knots: np.ndarray, chosen: np.ndarray, fixed: np.ndarray
 ) -> np.ndarray:
     """Leave out points that the tolerance does not need: every third one at a time, then back where it is needed."""
-    limit = np.maximum(program.tolerance, _errors(program, runs, stops, knots[chosen]))  # rounded corners miss by more
+    limit = np.maximum(tolerance, errors(knots[chosen]))  # rounded corners miss by more
     thinnings = 4  # times that each point is left out on trial
     reach = 2  # stretches to both sides in which a point that is left out changes the path
     for turn in range(3 * thinnings):
@@ -103,7 +100,7 @@ def _thinned(
         out &= ~fixed[chosen]
         while out.any():
             points = knots[chosen[~out]]
-            over = np.logical_or.reduceat(_errors(program, runs, stops, points) > limit, points[:-1])
+            over = np.logical_or.reduceat(errors(points) > limit, points[:-1])
             if not over.any():
                 break
             near = np.convolve(over, np.ones(2 * reach + 1), "same") > 0.0
@@ -131,15 +128,16 @@ def program_points(
     stays, auxiliary = np.ones(len(points), bool), np.zeros(len(points), bool)
     if program.motion == "LIN" and program.tolerance:
         runs = [original] if revised is original else [original, revised]
+        errors = _errors(program, original, revised, stops)
         for run in runs:
             turning = np.any(np.diff(run.quaternion, axis=0) != 0, axis=1)
             fixed = fixed | np.append(turning, False) | np.append(False, turning)
         places = np.array([run.position for run in runs])
         stays, auxiliary = _arcs(program.tolerance, places, points, fixed[points])
-        before = _errors(program, runs, stops, points)
+        before = errors(points)
         while auxiliary.any():
             chosen = np.flatnonzero(stays)
-            after = _errors(program, runs, stops, points[chosen], auxiliary[chosen])
+            after = errors(points[chosen], auxiliary[chosen])
             limit, worst = (np.maximum.reduceat(error, points[chosen[:-1]]) for error in (before, after))
             wrong = worst > np.maximum(program.tolerance, limit)
             near = np.convolve(wrong, np.ones(3), "same") > 0.0  # with the blending to both sides
@@ -257,11 +255,15 @@ class ProgramBlocks:
 
 
 def program_blocks(
-    program: Program, original: Trajectory, revised: Trajectory, fixed: np.ndarray | None = None
+    program: Program,
+    original: Trajectory,
+    revised: Trajectory,
+    points: np.ndarray,
+    auxiliary: np.ndarray,
+    stops: np.ndarray,
 ) -> ProgramBlocks:
-    """Return the size of the blocks of the program of ``revised``; fixed: as of ``point_numbers``."""
-    points, auxiliary = program_points(program, original, revised, fixed)
-    error = _errors(program, [original, revised], original.standing, points, auxiliary).max()
+    """Return the size of the blocks of the program of ``revised``; points, auxiliary, stops: its layout."""
+    error = _errors(program, original, revised, stops)(points, auxiliary).max()
     points = points[~auxiliary]
     time = original.time_ns[points]
     step = np.diff(time)
@@ -309,17 +311,41 @@ def _near(spacing, original, revised, k, before):
 
 
 def _errors(
-    program: Program, runs: list[Trajectory], stops: np.ndarray, points: np.ndarray, auxiliary=None
-) -> np.ndarray:
-    """Return the distance [m] of each knot from its place on the program, (n,), the largest of the runs."""
-    rests, worst = stops[points], np.zeros(len(stops))
-    for run in runs:
-        spline = program.motion == "SPLINE"
-        place = places_on_program(run, points, run.position[points], rests, spline, program.blend_distance, auxiliary)
-        place -= run.position
-        worst = np.maximum(worst, np.sqrt(np.einsum("ni,ni->n", place, place)))
-        if run.turns:
-            written = Trajectory(run.time_ns[points], run.position[points], run.quaternion[points])
-            angle = turned(written.sample_orientation(run.time_ns), run.quaternion)
-            worst = np.maximum(worst, LEVER * angle)
-    return worst
+    program: Program,
+    original: Trajectory,
+    revised: Trajectory,
+    stops: np.ndarray,
+    knots: np.ndarray | None = None,
+) -> Callable:
+    """Return the function of points and auxiliary points that yields the distance [m] of each knot from the program.
+
+    The larger one of both runs, (n,), of a knot or, on a spline, of the middle of the step after it. knots: those that
+    may be points, (k,); middles that all of them miss by more than the tolerance are left out. None: no middle is.
+    """
+    runs, first = [original] if revised is original else [original, revised], np.arange(len(stops))
+    spline = program.motion == "SPLINE"
+
+    def errors(points: np.ndarray, auxiliary: np.ndarray | None = None) -> np.ndarray:
+        rests, worst = stops[points], np.zeros(len(runs[0]))
+        points = first[points]
+        for run in runs:
+            place = places_on_program(
+                run, points, run.position[points], rests, spline, program.blend_distance, auxiliary
+            )
+            place -= run.position
+            worst = np.maximum(worst, np.sqrt(np.einsum("ni,ni->n", place, place)))
+            if run.turns:
+                written = Trajectory(run.time_ns[points], run.position[points], run.quaternion[points])
+                angle = turned(written.sample_orientation(run.time_ns[first]), run.quaternion[first])
+                worst[first] = np.maximum(worst[first], LEVER * angle)
+        return np.maximum.reduceat(worst, first)
+
+    if spline and original.velocity is not None and revised.velocity is not None:
+        curves, middles = runs, original.time_ns[:-1] + np.diff(original.time_ns) // 2
+        for near in (True, False):
+            time_ns = np.union1d(original.time_ns, middles)
+            first = np.searchsorted(time_ns, original.time_ns)
+            runs = [Trajectory(time_ns, run.sample(time_ns), run.sample_orientation(time_ns)) for run in curves]
+            if near and knots is not None:
+                middles = middles[errors(knots)[:-1] <= program.tolerance]
+    return errors

@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from kr270_milling.base.errors import InputError
+from kr270_milling.base.files import write_files
 from kr270_milling.base.frames import Pose, quaternion_from_rotation
 from kr270_milling.cell.arm import commanded_joints
 from kr270_milling.cell.cell import Cell
@@ -30,26 +31,38 @@ MOTION = re.compile(r"(SPL|LIN|CIRC)(?: \{(X [^}]*)\},| )\{(X [^}]*)\}( C_DIS)?(
 START = re.compile(r"DECL FRAME XP\d+=\{(.*)\}")
 
 
-def written_trajectory(cell: Cell, planned: Trajectory, motion: str) -> Trajectory:
-    """Write the program of a planned reference, read its points back, and join them as the controller does."""
-    nowhere = Pose(np.zeros(3), np.eye(3))
-    commanded = planned
+def drafted(cell: Cell, planned: Trajectory, motion: str) -> tuple[dict[str, list[str]], tuple, Trajectory]:
+    """Return lines and layout of the program of a planned reference, see ``program_files``, and what it commands.
+
+    The frames are those of the workpiece, so that the program has the points of the reference.
+    """
+    nowhere, path = Pose(np.zeros(3), np.eye(3)), path_of(cell)
+    target, commanded = path.target, planned
     if not cell.compensation.sag_compensated:
-        commanded = as_commanded(cell, planned, commanded_joints(arm_of(cell), cell.compensation, planned))
+        target, commanded = (
+            as_commanded(cell, run, commanded_joints(arm_of(cell), cell.compensation, run)) for run in (target, planned)
+        )
     start = planned.position[0], 0, 0  # of the approach, which is not simulated
-    law = (cell.timing.acceleration, cell.timing.jerk) if timed_by_cell(path_of(cell)) else (0.0, 0.0)
+    law = (cell.timing.acceleration, cell.timing.jerk) if timed_by_cell(path) else (0.0, 0.0)
     setup = krl.Setup(nowhere, nowhere, lambda *_: start, float(cell.stock.max[2]), acceleration=law[0], jerk=law[1])
-    program = cell.krl.replace(motion=motion, name="WRITTEN")
-    path, target = path_of(cell), path_of(cell).target
+    program, count = cell.krl.replace(motion=motion, name="WRITTEN"), len(planned)
+    notes, feeds = notes_of(path, count), knot_feeds(path, count)
+    files, layout, _ = krl.program_files(program, setup, target, commanded, notes, feeds)
+    return files, layout, commanded
+
+
+def written_trajectory(cell: Cell, planned: Trajectory, motion: str) -> Trajectory:
+    """Draft the program of a planned reference, read its points back, and join them as the controller does."""
+    files, (k, _, _), commanded = drafted(cell, planned, motion)
     with tempfile.TemporaryDirectory() as folder:
-        notes = notes_of(path, len(planned))
-        _, k, _ = krl.write_krl(folder, program, setup, target, commanded, notes, knot_feeds(path, len(planned)))
+        write_files({Path(folder, name): (line + "\n" for line in lines) for name, lines in files.items()})
         pose, stops, auxiliary = read_krl(folder, "WRITTEN_CMP")
     position = planned.position[k] + pose.position - commanded.position[k]
     quaternion = planned.quaternion[k]
     if commanded is planned:
         quaternion = quaternion_from_rotation(pose.rotation)
-    return _as_run(planned, target, k, position, quaternion, stops, auxiliary, cell.krl.replace(motion=motion))
+    program = cell.krl.replace(motion=motion)
+    return _as_run(planned, path_of(cell).target, k, position, quaternion, stops, auxiliary, program)
 
 
 def _as_run(

@@ -35,7 +35,7 @@ from kr270_milling.physics.motion.milling_pass import CompliantArm, silent_perio
 from kr270_milling.recordings.bag.reader import Recording
 from kr270_milling.recordings.bag.recover import findings
 from kr270_milling.recordings.messages.topics import TOPICS
-from kr270_milling.recordings.passes import PassSeries, Series, read_graph
+from kr270_milling.recordings.passes import GraphRecord, PassSeries, Series, read_graph
 
 UNDER_WAY = 10  # exchange periods at the end of a pass that broke off, in which causes or effects may be missing
 AXES = {  # fields of the columns of a topic
@@ -156,15 +156,27 @@ class _Robot:
             complete += self._compare_pass(series, number, complete)
             if progress:
                 progress(number + 1, len(graph.passes))
-        for name, others in (("deflection", graph.outside), ("joint_states", graph.refused)):
-            other = others.get(name, 0)  # messages that only the robot publishes, of no pass or unreadable
-            if graph.passes and other > (UNDER_WAY if self._cut_off else 0):
-                self._count(name).not_compared += other
-                reason = f"{other} messages on {namespace}/{name} were not compared: no recorded input leads to them"
-                self._stop(None, reason)
+        outside = graph.outside.get("deflection", 0)  # only the robot publishes it
+        if graph.passes and outside > (UNDER_WAY if self._cut_off else 0):
+            self._count("deflection").not_compared += outside
+            reason = f"{outside} messages on {namespace}/deflection were not compared: no recorded input leads to them"
+            self._stop(None, reason)
+        for name, lost in self._lost(graph).items():
+            unreadable = min(graph.refused.get(name, 0), lost)  # others are foreign messages, which do no harm
+            if graph.passes and unreadable > (UNDER_WAY if self._cut_off else 0):
+                self._count(name).not_compared += unreadable
+                self._stop(None, f"{unreadable} messages on {namespace}/{name} could not be read")
         self._compare_revisions(Revisions(cells, graph))
         if not any(self._count(name).compared for name in ("tool_pose", "wrench")) and not self.stops:
             self._stop(None, "no pass is in the recording: no tool_pose and no wrench was compared")
+
+    def _lost(self, graph: GraphRecord) -> dict[str, int]:
+        """Return how many messages of the nodes are not among those that were read, by topic."""
+        states = len(graph.states) - len(graph.published)
+        known = {topic.rpartition("/")[2]: count for topic, count in self.counts.items()}
+        lost = {name: known[name].missing for name in ("deflection", "joint_states") if name in known}
+        maps = len(graph.passes) - (known["workpiece"].compared if "workpiece" in known else 0)
+        return lost | {"workpiece": maps, "compensator_state": -states, "reference_trajectory": states}
 
     def _count(self, name: str) -> TopicCount:
         return self.counts.setdefault(f"{self._namespace}/{name}", TopicCount())

@@ -26,6 +26,7 @@ from kr270_milling.cell.cell_file import read_cell
 from kr270_milling.cell.jobs import compensated, simulate
 from kr270_milling.cell.models import arm_of, path_of
 from kr270_milling.cell.sections import Program
+from kr270_milling.decide.check import check
 from kr270_milling.decide.compensation import compensate
 from kr270_milling.decide.programs import points
 from kr270_milling.decide.programs.files import (
@@ -599,6 +600,27 @@ def test_points_are_few_and_the_path_through_them_is_the_planned_one(part, tmp_p
         assert np.linalg.norm(np.diff(planned.position[apart], axis=0), axis=1).min() >= 1e-3
     coarse = np.diff(run.time_ns[point_numbers(program.replace(tolerance=1e-3), target, run)])
     assert coarse.min() >= 30_000_000 and len(coarse) < len(knots)
+
+
+def test_check_counts_the_points_that_are_written_where_modules_end_in_the_cut(cell, tmp_path):
+    short = cell.replace(krl=cell.krl.replace(line_limit=100, tolerance=3e-7))
+    target = path_of(short).target
+    run = swayed(target, 1e-3)
+    write_programs(tmp_path, short, target, run, method="swayed", date=DATE, motions=("SPLINE",))
+    written = Robot(next(tmp_path.glob("krl_*")), "MILLING_CMP").points
+    assert len(list(tmp_path.glob("krl_*/MILLING_CMP_*.src"))) > 1
+    assert check(short, run, "SPLINE").blocks.points == len(written)
+
+
+def test_a_spline_keeps_its_tolerance_between_the_knots_too():
+    """Knots 1.9 um beside a line in the order + + - -: the curve between two of a side is 1.9 * 5 / 4 um beside it."""
+    across = np.resize([1.9e-6, 1.9e-6, -1.9e-6, -1.9e-6], 60)
+    across[[0, 1, -2, -1]] = 0.0
+    run = spline(np.arange(60) * 12_000_000, np.stack([1e-3 * np.arange(60), across, 0.0 * across], axis=1))
+    knots = point_numbers(Program(tolerance=2e-6), run, run)
+    x = np.arange(0.0, 59.1, 0.5)  # the way is that along the line
+    curve = CubicSpline(knots, across[knots], bc_type="natural")(x)
+    assert np.abs(run.sample((x * 12_000_000).astype(int))[:, 1] - curve).max() < 2e-6
 
 
 @pytest.mark.parametrize("blend", [0.0, 1e-3, 3e-3, 1.0])

@@ -236,6 +236,18 @@ def test_one_message_that_the_live_nodes_refused_does_not_spoil_a_recording(tmp_
     assert compensate_recording(tmp_path / "r")[0][2] is True
 
 
+@pytest.mark.parametrize("topic", ["deflection", "joint_states", "workpiece", "compensator_state", LATCHED[1]])
+@pytest.mark.parametrize("way", ["of another type", "short"])
+def test_a_message_of_the_nodes_that_cannot_be_read_is_no_identical_one(tmp_path, topic, way):
+    messages = list(one_pass())
+    at = [i for i, m in enumerate(messages) if m.topic == topic][-1]
+    data = to_bytes(PoseSample(AT, "workpiece", ONE, DOWN)) if way == "of another type" else messages[at].data[:20]
+    messages[at] = made.Message(topic, data, messages[at].stamp)
+    result = recomputed(tmp_path / "r", messages)
+    assert result.verdict == "incomplete" and result.channels[f"/{topic}"].not_compared == 1, result.channels
+    assert f"/: 1 messages on /{topic} could not be read" in result.sentences
+
+
 # --- Deflections that are published less often than every exchange: nothing is lost by it ---
 
 
