@@ -13,7 +13,6 @@ from faults.faults import ENDS, FAULTS, GOES_ON, Message
 from faults.trials import Recorded, Row, Trial, judge_recording, judge_words
 from kr270_milling.live.ros.node import NOT_COMPLETE
 
-
 KILLED = "composed: robot and cut, SIGKILL"  #: of two processes, a graph of four takes twice as long
 
 
