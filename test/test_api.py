@@ -103,8 +103,6 @@ def test_sweep_and_placements_are_frames_with_the_rows_of_the_commands():
 def test_the_notebooks_run_in_an_empty_folder_and_are_stored_without_outputs(tmp_path):
     """One kernel for all, which forgets the names of a notebook before the next."""
     together, parts = nbformat.v4.new_notebook(), []
-    server = "import kaleido; kaleido.start_sync_server(silence_warnings=True)"  # one Chromium for all images
-    together.cells += [nbformat.v4.new_code_cell(server)]
     for path in NOTEBOOKS:
         cells = nbformat.read(path, as_version=4).cells
         together.cells += [*cells, nbformat.v4.new_code_cell("%reset -f")]

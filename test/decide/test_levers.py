@@ -78,20 +78,20 @@ def test_softer_ramps_take_at_most_the_stated_time(tmp_path):
 
 def test_the_first_rows_are_those_of_the_verdict_and_the_cheapest_that_is_enough_is_run(tmp_path, monkeypatch):
     monkeypatch.setattr(module, "ROUNDS", 2)
-    monkeypatch.setattr(module, "PLANNED", 3)
+    monkeypatch.setattr(module, "PLANNED", 4)
     cell = small_part(
         tmp_path, CORNER, "cutting.detail=engagement", "part.tolerance_um=80", "compensation.method=inverse"
     )
     progress = []
-    rows, chosen = levers(cell, 3, 1, "SPLINE", lambda done, total: progress.append(done / total), turned_cell)
-    verdict = compensate(cell, robots=3, seed=1, motions=("SPLINE",)).decision.verdict
+    rows, chosen = levers(cell, 4, 1, "SPLINE", lambda done, total: progress.append(done / total), turned_cell)
+    verdict = compensate(cell, robots=4, seed=1, motions=("SPLINE",)).decision.verdict
     assert [rows[0].median, rows[1].median] == pytest.approx([verdict.band(k)[1] for k in ("original", "compensated")])
     assert rows[1].within == verdict.within
     assert progress == sorted(progress) and progress[-1] <= 1.0
     enough = [row for row in rows[1:] if row.enough]
     assert chosen is (min(enough, key=lambda row: row.duration) if enough else max(rows[1:], key=lambda row: row.rank))
     fed = chosen.cell.replace(compensation=chosen.cell.compensation.replace(feed="keep"))  # the feeds are scheduled
-    own = compensate(fed, robots=3, seed=1, motions=("SPLINE",)).decision.verdict
+    own = compensate(fed, robots=4, seed=1, motions=("SPLINE",)).decision.verdict
     assert chosen.name not in ("nothing", "correction") and chosen.median == pytest.approx(own.band("compensated")[1])
     assert all(row.duration <= 1.5 * rows[0].duration for row in rows if not row.cell.compensation.finish)
     assert [row.name for row in rows[:2]] == ["nothing", "correction"]
@@ -239,10 +239,10 @@ def test_feeds_meet_a_linear_load_and_stay_where_the_load_does_not_respond(tmp_p
 
 
 def test_a_scheduled_feed_keeps_more_robots_within_the_tolerance_and_its_limits(tmp_path, monkeypatch):
-    monkeypatch.setattr(module, "PLANNED", 3)
+    monkeypatch.setattr(module, "PLANNED", 4)
     settings = "cutting.detail=engagement", "part.tolerance_um=60", "limits.cutting_force_n=70"
     plain, cell = (small_part(tmp_path, GCODE, *settings, *more) for more in ((), ["compensation.feed=schedule"]))
-    before, after = (compensate(each, "none", robots=3, seed=1) for each in (plain, cell))
+    before, after = (compensate(each, "none", robots=4, seed=1) for each in (plain, cell))
     assert after.feeds["duration_s"][0] == pytest.approx(1e-9 * path_of(plain).target.duration_ns)
     assert 1.0 < after.feeds["duration_s"][1] / after.feeds["duration_s"][0] <= 1.5
     assert after.feeds["feed_percent"][1] <= 100.0

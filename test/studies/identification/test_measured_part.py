@@ -124,12 +124,6 @@ def test_a_place_that_contradicts_the_others_is_left_out_many_are_refused_and_a_
 
 
 # --- A part of a simulated robot ---
-@pytest.fixture
-def half_the_robots(monkeypatch):
-    """Two unknown numbers at most show here, for which half of the robots are enough."""
-    monkeypatch.setattr(parts, "ROUNDS", tuple((robots // 2, weight) for robots, weight in parts.ROUNDS))
-
-
 @pytest.fixture(scope="module")
 def cell(tmp_path_factory):
     return small_cell(tmp_path_factory.mktemp("slot"), SLOT, *FEW)
@@ -168,7 +162,7 @@ def test_a_robot_is_the_numbers_behind_it(cell):
         perturbed(other, np.random.default_rng(1))
 
 
-def test_the_wear_of_the_tool_is_learned_within_its_band_and_a_second_part_narrows_it(cell, measured, half_the_robots):
+def test_the_wear_of_the_tool_is_learned_within_its_band_and_a_second_part_narrows_it(cell, measured):
     first = parts.learn(cell, [(measured[0], path_of(cell).target, "wall.csv")])
     second = parts.learn(first.cell, [(measured[1], path_of(cell).target, "wall2.csv")])
     widths = []
@@ -194,8 +188,9 @@ def test_a_program_stays_where_the_robots_gain_less_than_a_tenth(cell, monkeypat
 
 
 def test_the_command_learns_keeps_its_result_in_a_file_and_refuses_what_it_cannot_use(
-    cell, measured, tmp_path, capsys, few_robots, half_the_robots
+    cell, measured, tmp_path, capsys, monkeypatch, few_robots
 ):
+    monkeypatch.setattr(parts, "ROUNDS", ((32, 1.0), (24, 20.0)))  # the test before has all
     first = measured[0]
     rows = zip(1e3 * first.place, 1e6 * first.error, first.floor, strict=True)
     lines = [f"{x},{y},{e:.2f},1,{'floor' if floor else ''}" for (x, y), e, floor in rows]
