@@ -12,8 +12,6 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # a shell sets this for b
 import contextlib
 import io
 import json
-import subprocess
-import sys
 import time
 from pathlib import Path
 from types import SimpleNamespace
@@ -39,23 +37,28 @@ def pytest_configure(config):
     config.addinivalue_line("markers", "book: a row of the verification book (test/book)")
     if config.getoption("--book"):
         config.option.markexpr = "book"
-    if config.getoption("numprocesses", None):
-        compile_cuts()
+    if os.environ.get("PYTEST_XDIST_WORKER") == "gw1":
+        compile_engagement()
 
 
-def compile_cuts() -> None:
-    """Compile what most tests need before workers start, each of which would compile it again: half on each core."""
+def pytest_collection_finish() -> None:
+    if os.environ.get("PYTEST_XDIST_WORKER") == "gw0":
+        compile_teeth()
+
+
+# Of two workers each compiles half of what most tests need, and not the other's half again. The second compiles before
+# it collects the tests: meanwhile the first collects them, and keeps their byte code.
+def compile_engagement() -> None:
+    """Compile the cut and the check of a flat tool and of a ball."""
     from samples.small_part import compile_cut
 
     from kr270_milling.decide.check import check
 
-    other = subprocess.Popen([sys.executable, "-c", "import conftest; conftest.compile_learning()"], cwd=ROOT / "test")
     check(compile_cut("engagement"))
     compile_cut("engagement", "tool.type=ball")
-    assert other.wait() == 0
 
 
-def compile_learning() -> None:
+def compile_teeth() -> None:
     """Compile the model of the teeth and the learning, then the cut and the check of a leaning tool."""
     from samples.small_part import LEANING, compile_cut
 

@@ -243,6 +243,10 @@ def link_contacts(
                     pairs.append((LINKS[other], LINKS[link], radius + wide, way + more, _from_segment, ends))
         for body, obstacle, reach, way, distance, places in pairs:
             known = deepest.get((body, obstacle), (0.0, 0))[0]
+            start, end, *other = places
+            half = 0.5 * np.linalg.norm(end - start, axis=1)  # no place of a segment is farther from its middle
+            if (reach + half - distance(0.5 * (start + end), *other)).max() <= known:
+                continue
             depth = reach - _nearest(distance, *(place[::every] for place in places))
             near = np.flatnonzero(depth[coarse // every] + way > known)
             depth = reach - _nearest(distance, *(place[near] for place in places))

@@ -54,7 +54,7 @@ def edge(tool: Tool, sigma=None) -> tuple[np.ndarray, ...]:
     return r, h, kappa, np.full(sigma.size, sigma[1] - sigma[0])
 
 
-def quadrature(tool: Tool, cutting: Cutting, axis, move, passes: float, inside, turns: int = 500):
+def quadrature(tool: Tool, cutting: Cutting, axis, move, passes: float, inside, turns: int = 300):
     """Mean force (3,) [N] and torque [N m]; inside(points) [m]: whether places from the tip are in the stock.
 
     The places are ``turns`` angles of as many pieces of the edge, in a box about the places that cut, which twice as

@@ -173,7 +173,7 @@ def profile_of(tool: Tool, stock: Stock) -> tuple[Profile, float, float]:
     hollow = bool((np.diff(np.arctan2(parts[:, 5], parts[:, 6])) < -1e-9).any())
     profile = Profile(
         (height / stock.level_step).astype(np.float32),
-        np.column_stack([parts[:-1, [0, 1, 2, 4]] / stock.level_step, slopes]).astype(np.float32),
+        np.column_stack([parts[:-1, [0, 1, 2, 4]] / stock.level_step, slopes]).astype(np.float32, order="C"),
         np.minimum(lead * stock.level_step / stock.grid_step**2, 1e9).astype(np.float32),
         piece.astype(np.uint16),
         np.append(edges[:, 1] / stock.level_step, [math.inf, math.inf]),

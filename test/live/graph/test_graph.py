@@ -36,7 +36,7 @@ from kr270_milling.recordings.messages.definitions import deserialise
 from kr270_milling.show.commands import run as commands
 
 SHORT = ["path.length_mm=4", "stock.grid_step_um=20", "stock.max_mm=[4,12,0]"]
-MANY = ["path.length_mm=12", "stock.grid_step_um=50", "exchange.period_ms=0.125"]  # longer passes, to be disturbed
+MANY = ["path.length_mm=6", "stock.grid_step_um=50", "exchange.period_ms=0.125"]  # longer passes, to be disturbed
 NODES = ["compliant_robot", "cutting_process", "trajectory_compensator", "recorder"]
 CLI = [sys.executable, "-m", "kr270_milling.cli"]
 DIAGNOSTICS = "diagnostic_msgs/msg/DiagnosticArray"

@@ -57,7 +57,7 @@ def test_a_step_without_noise_gives_the_numbers_of_the_closed_form():
 
 def test_the_intervals_contain_nine_of_ten_hidden_lags_and_more(sweep):
     """95 % of 8 robots with three numbers each; four standard deviations of the binomial distribution."""
-    rng, hits, robots = np.random.default_rng(3), 0, 8
+    rng, hits, robots = np.random.default_rng(3), 0, 5
     time, shift = sweep
     for _ in range(robots):
         true = rng.uniform((10.0, 0.4, 0.0), (35.0, 1.0, 0.012))
