@@ -104,7 +104,7 @@ def softer_pass(cell: Cell, reference: Trajectory, share: float = SOFTER, progre
     if later is None:
         return None
     fine = np.linspace(0, later.trajectory.duration_ns, 20 * len(later.trajectory)).astype(np.int64)
-    fine = np.union1d(fine, later.trajectory.time_ns)
+    fine = np.sort(np.append(fine, later.trajectory.time_ns), kind="stable")  # ``union1d`` takes 6 s of an hour
     distance = np.maximum.accumulate(later.distance_at(fine))
     time_ns = np.rint(np.interp(timed.distance, distance, fine)).astype(np.int64)
     time_ns[[0, -1]] = 0, later.trajectory.duration_ns
