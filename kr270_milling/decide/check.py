@@ -198,7 +198,7 @@ def check(
         results += _correction(cell, path.target, run, robot_program)
         results += ends_out_of_reach(arm_of(cell), float(cell.stock.max[2]) + cell.krl.safe_height, run)
         fixed = fixed_knots(path.target.standing, knot_feeds(path, len(path.target)))
-        with ThreadPoolExecutor(1) as pool:  # on another core than the pass
+        with ThreadPoolExecutor(1 if ran is None else 2) as pool:  # on another core than the pass
             contacts, statement = pool.submit(path_contacts, cell, run), pool.submit(stability_statement, cell)
             links = pool.submit(link_contacts, arm_of(cell), cell.tool.stick_out, cell.workpiece, cell.stock, run)
             size = pool.submit(program_blocks, robot_program, path.target, run, fixed)

@@ -5,6 +5,7 @@ The times of the points are those of the assumed time law: a program has speeds,
 
 from __future__ import annotations
 
+import functools
 import re
 import tempfile
 from pathlib import Path
@@ -30,6 +31,7 @@ MOTION = re.compile(r"(SPL|LIN|CIRC)(?: \{(X [^}]*)\},| )\{(X [^}]*)\}( C_DIS)?(
 START = re.compile(r"DECL FRAME XP\d+=\{(.*)\}")
 
 
+@functools.lru_cache(maxsize=1)  # the pass of the program and the simulated robots run the same
 def written_trajectory(cell: Cell, planned: Trajectory, motion: str) -> Trajectory:
     """Write the program of a planned reference, read its points back, and join them as the controller does."""
     nowhere = Pose(np.zeros(3), np.eye(3))

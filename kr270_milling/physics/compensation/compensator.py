@@ -52,8 +52,9 @@ class Compensator:
     of arm and cut.
 
     A method that repeats, and with ``parameters.repeat`` every method, keeps the best reference so far. It is
-    ``finished`` when a pass improves the error by less than 1 % or less than the noise, when it leaves less than the share
-    ``enough`` of the first error, or after max_passes. Any other method only revises the reference of the last pass.
+    ``finished`` when a pass improves the error by less than 1 % or less than the noise, when it leaves less than the
+    share ``enough`` of the first error, or after max_passes. Any other method only revises the reference of the last
+    pass.
     """
 
     def __init__(
