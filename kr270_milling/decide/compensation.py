@@ -12,6 +12,7 @@ from typing import TypeVar
 
 import numpy as np
 
+from kr270_milling.base.blocks import return_memory
 from kr270_milling.base.column import computed
 from kr270_milling.base.errors import MillingError
 from kr270_milling.cell.cell import Cell
@@ -120,6 +121,8 @@ def _compensated(
 ) -> Compensated:
     """See ``compensate``; beside: a thread for what does not wait for the learning."""
     target = path_of(cell).target
+    if long_pass(path_of(cell)):
+        return_memory()
     rigid = beside.submit(rigid_part, cell)
     with progress("original") as report:
         original = simulate(cell, progress=report, plant=plant)
