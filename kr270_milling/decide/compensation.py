@@ -6,16 +6,26 @@ import contextlib
 import dataclasses
 import math
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from typing import TypeVar
 
 import numpy as np
 
+from kr270_milling.base.blocks import return_memory
 from kr270_milling.base.column import computed
 from kr270_milling.base.errors import MillingError
 from kr270_milling.cell.cell import Cell
-from kr270_milling.cell.jobs import PLANNED, ScoredPass, compensated, compensator, long_pass, simulate
+from kr270_milling.cell.jobs import (
+    PLANNED,
+    ScoredPass,
+    compensated,
+    compensator,
+    cut_along,
+    long_pass,
+    record_of,
+    simulate,
+)
 from kr270_milling.cell.models import path_of, removal_of
 from kr270_milling.cell.plant import DIVERGED, Plant
 from kr270_milling.cell.stage import Removal, places_apart
@@ -25,13 +35,15 @@ from kr270_milling.decide.check_cut import spring_back
 from kr270_milling.decide.decision import CAUTION, ENOUGH, NO, YES, Decision, Limit, decided, limits
 from kr270_milling.decide.findings import Finding, violation
 from kr270_milling.decide.levers import QUICK, scheduled
-from kr270_milling.decide.part.assessment import Gauge, PartAssessment, assess_all, gauge_of, judge, um_text
+from kr270_milling.decide.part.assessment import Gauge, PartAssessment, assess_all, judge, rigid_part, um_text
 from kr270_milling.decide.part.surface import stations_of
 from kr270_milling.decide.programs.written import written_pass, written_trajectory
+from kr270_milling.decide.stability import stability_statement
 from kr270_milling.decide.verdict import (
     CHOOSING_SEED,
     NO_METHOD,
     SAME,
+    Begun,
     Verdict,
     alternatives,
     compare_methods,
@@ -88,6 +100,30 @@ def compensate(
         with progress("feeds") as report:
             planning = NO_METHOD if method == NO_METHOD else QUICK  # the others take several times as long
             cell, feeds = scheduled(cell, planning, (*motions, cell.krl.motion)[0], report)
+    beside = ThreadPoolExecutor(1)
+    try:  # what the program alone decides is computed beside the learning, which goes from pass to pass
+        return _compensated(cell, method, plant, motions, robots, seed, former, feeds, progress, beside)
+    finally:
+        beside.shutdown(cancel_futures=True)
+
+
+def _compensated(
+    cell: Cell,
+    method: str | Method,
+    plant: Plant | None,
+    motions: Sequence[str],
+    robots: int,
+    seed: int,
+    former: Trajectory | None,
+    feeds: dict | None,
+    progress: Callable,
+    beside: Executor,
+) -> Compensated:
+    """See ``compensate``; beside: a thread for what does not wait for the learning."""
+    target = path_of(cell).target
+    if long_pass(path_of(cell)):
+        return_memory()
+    rigid = beside.submit(rigid_part, cell)
     with progress("original") as report:
         original = simulate(cell, progress=report, plant=plant)
     comparison = None
@@ -95,10 +131,18 @@ def compensate(
         with progress("comparison"):
             comparison = compare_methods(cell, original)
         method = comparison.best
-    by = compensator(cell, path_of(cell).target, None if method == NO_METHOD else method)
+    by = compensator(cell, target, None if method == NO_METHOD else method)
     motions = tuple(motions) or (cell.krl.motion if by.chosen.smooth else "LIN",)
     motion = "LIN" if "LIN" in motions else motions[0]  # LIN motions are blended
-    planned = original
+    planned, begun = original, None
+    if not plant:
+        if long_pass(path_of(cell)):  # the series fill 200 MB an hour, and the record 70 MB of them
+            original = replace(original, result=None, record=record_of(cell, original))  # type: ignore[arg-type]
+        as_programmed = beside.submit(written_pass, cell, original, motion)
+    if not path_of(cell).straight:
+        by.models = replace(by.models, cut=lambda path: rigid.result()[2] or cut_along(cell, path))
+        beside.submit(stability_statement, cell)
+        begun = Begun.of(cell, robots, seed, rigid, beside) if robots else None
     if method != NO_METHOD:
         with progress("compensation", by.most_passes, by.method) as report:
             planned = compensated(cell, original, method, report, by, plant)
@@ -108,14 +152,12 @@ def compensate(
                 by.note, by.limited = reason, ()
                 name = FORMER if chosen is former else PROGRAMMED
                 planned = simulate(cell, chosen, name, progress=report, plant=plant)
-    with progress("programs as written") as report, ThreadPoolExecutor(1 if plant else 2) as pool:
-
-        def written(ran: ScoredPass) -> ScoredPass:  # of a plant in this order: each pass has its number
-            return written_pass(cell, ran, motion, plant, report)
-
-        *done, programmed = pool.map(written, (original,) if method == NO_METHOD else (planned, original))
-    revised = done[0] if done else replace(programmed, name=NO_METHOD)
-    planned = planned if done else revised
+    with progress("programs as written") as report:
+        revised = planned if method == NO_METHOD else written_pass(cell, planned, motion, plant, report)
+        # of a plant in this order: each pass has its number
+        programmed = written_pass(cell, original, motion, plant, report) if plant else as_programmed.result()
+    if method == NO_METHOD:
+        planned = revised = replace(programmed, name=NO_METHOD)
     compared = original if robots and comparison is None and not long_pass(path_of(cell)) else None
     plan = planned
     if long_pass(path_of(cell)):
@@ -123,7 +165,7 @@ def compensate(
     by.first = None
     del original, planned
     with progress("surfaces"):
-        gauge = gauge_of(cell)
+        gauge = rigid.result()[0]
         parts = () if path_of(cell).straight else assess_all(cell, (programmed, revised), gauge)
     limited = [
         violation("correction limited", p.wanted, p.wanted - p.missing, p.worst, sentence=limit_sentence(p, by))
@@ -140,7 +182,7 @@ def compensate(
     judged: Verdict | None = None
     if robots:
         with progress("verdict") as report:
-            judged = _verdict(cell, compared, revised, robots, seed, report, motion, gauge)
+            judged = _verdict(cell, compared, revised, robots, seed, report, motion, gauge, begun)
     before, after = map(lambda ran, part: judge(cell, ran, part), (programmed, revised), parts or (None, None))
     rows: tuple[Limit, ...] = ()
     if judged and judged.within is not None and judged.within < ENOUGH * robots and checked.may_be_run:
@@ -189,6 +231,7 @@ def _verdict(
     report,
     motion: str,
     gauge: Gauge,
+    begun: Begun | None,
 ) -> Verdict:
     """Return the verdict of simulated robots.
 
@@ -201,7 +244,8 @@ def _verdict(
         with contextlib.suppress(MillingError):
             programs[name] = written_trajectory(cell, run, motion if run.velocity is not None else "LIN")
     program = written_trajectory(cell, revised.reference, motion)
-    return monte_carlo(cell, program, robots, seed, progress=report, method=revised.name, others=programs, gauge=gauge)
+    about: dict = dict(method=revised.name, others=programs, gauge=gauge, begun=begun)
+    return monte_carlo(cell, program, robots, seed, progress=report, **about)
 
 
 FORMER, PROGRAMMED = "former", "as_programmed"  #: names of a program that stays, and of one without a correction

@@ -5,6 +5,7 @@ Every distinct engagement of a feature (angles, feed and its direction) is evalu
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -109,6 +110,7 @@ class Stability:
         return f"stability: arm: {known}; tool and spindle: unknown (no tool.modes)"
 
 
+@functools.lru_cache(maxsize=1)  # ``compensate`` computes it beside other work
 def stability_statement(cell: Cell) -> Stability:
     """The statement of a cell whose arm can follow the path."""
     with_tool = bool(cell.tool.modes.frequency.size)

@@ -6,7 +6,7 @@ import contextlib
 import dataclasses
 import math
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from dataclasses import dataclass, field
 from typing import TypeVar
 
@@ -213,6 +213,31 @@ def each_robot(
     return rows
 
 
+@dataclass(frozen=True, eq=False)
+class Begun:
+    """Errors of drawn robots along the programmed path, computed by a thread beside other work."""
+
+    nominal: Cell  #: from which they are drawn
+    gauge: Future[Gauge]
+    errors: list[Future[tuple[float, float]]]  #: error [m] and share of the tolerance
+
+    @classmethod
+    def of(cls, cell: Cell, robots: int, seed: int, part: Future[tuple], pool: Executor) -> Begun:
+        """Draw the robots of ``monte_carlo``; part: of ``rigid_part``."""
+        nominal, target, rng = coarser(cell), path_of(cell).target, np.random.default_rng(seed)
+
+        def judging() -> Gauge:
+            gauge, cut, _ = part.result()
+            return gauge if nominal is cell else gauge_of(nominal, cut if nominal.stock is cell.stock else None)
+
+        def errors(plant: Cell) -> tuple[float, float]:
+            model = arm_model_of(plant, target)
+            return _errors(plant, model, target, target, 0, gauge.result(), nominal is not cell)
+
+        gauge = pool.submit(judging)
+        return cls(nominal, gauge, [pool.submit(errors, perturbed(nominal, rng)) for _ in range(robots)])
+
+
 def _tracked(cell: Cell, plant: Cell, gauge: Gauge) -> float:
     """The error [m] of a plant whose own passes are measured and learned from; NaN where that fails."""
     try:
@@ -233,6 +258,7 @@ def monte_carlo(
     method: str = "compensated",
     others: dict[str, Trajectory] | None = None,
     gauge: Gauge | None = None,
+    begun: Begun | None = None,
 ) -> Verdict:
     """Run ``samples`` plants drawn from ``cell.uncertainty`` along the cell's target and along the revised trajectory.
 
@@ -240,7 +266,8 @@ def monte_carlo(
     method: the name of the revised trajectory; others: trajectories of other methods, to recommend one: the first 8
     plants run them, of a straight cut all, whose first 8 also learn from their own passes. The numbers do not depend on
     the number of threads. Along a tool path the passes are quick (``coarser``). Where the errors of ``CHECKED`` robots
-    differ from those of full passes by more than ``NEAR``, all passes are full.
+    differ from those of full passes by more than ``NEAR``, all passes are full. begun: errors of the first robots along
+    the target, which are computed already or just now.
     """
     if not (hasattr(samples, "__index__") and samples >= 1):
         raise ParameterError("samples", samples, "a whole number of at least 1")
@@ -259,16 +286,21 @@ def monte_carlo(
 
     def drawn(nominal: Cell) -> list[tuple[np.ndarray, float | None]]:
         same = nominal.stock is cell.stock and nominal.exchange is cell.exchange  # maps and stamps
-        gauge = full_gauge if same else gauge_of(nominal)
+        known: dict[int, Future] = {}
+        if begun and nominal is begun.nominal:
+            gauge = begun.gauge.result()
+            known = {k: errors for k, errors in enumerate(begun.errors) if not errors.cancel()}
+        else:
+            gauge = full_gauge if same else gauge_of(nominal)
 
         def run(k: int, plant: Cell) -> tuple[np.ndarray, float | None]:
             chosen = list(references.values()) if k < comparing else [revised]
-            rows = run_sample(plant, target, (target, *chosen), gauge, quick=nominal is not cell)
+            rows = run_sample(plant, target, (target, *chosen), gauge, quick=nominal is not cell, known=known.get(k))
             return rows, _tracked(cell, plant, gauge) if k < learning else None
 
         return each_robot(nominal, samples, seed, run, count)
 
-    quick, difference = coarser(cell), None
+    quick, difference = begun.nominal if begun else coarser(cell), None
     robots = drawn(quick)
     rows = np.stack([row[:2] for row, _ in robots])
     if quick is not cell:
@@ -366,18 +398,22 @@ def run_sample(
     gauge: Judging,
     first: int = 0,
     quick: bool = False,
+    known: Future | None = None,
 ) -> np.ndarray:
     """The error [m] of one plant along k references, and its share of the tolerance, (k, 2).
 
     NaN where the plant does not survive a reference; a share is also NaN without a tolerance. The references are
     corrections of one target: the arm's model along the target holds for all. first: number of the first pass, on which
-    the repeatability depends; quick: see ``run_pass``.
+    the repeatability depends; quick: see ``run_pass``; known: error and share along the first reference.
     """
     rows = np.full((len(references), 2), np.nan)
     with contextlib.suppress(MillingError):
         model = arm_model_of(plant, target)
         for k, reference in enumerate(references):
-            rows[k] = _errors(plant, model, target, reference, first + k, gauge, quick)
+            if k == 0 and known:
+                rows[k] = known.result()
+            else:
+                rows[k] = _errors(plant, model, target, reference, first + k, gauge, quick)
     return rows
 
 

@@ -384,27 +384,27 @@ def write_csv(path, trajectory: Trajectory, joints=None) -> None:
     Every number but the angles is read back to the last bit.
     """
     header, columns = list(KNOT), [_in_mm(trajectory.position), _texts(trajectory.quaternion)]
+    if not trajectory.turns:
+        columns[1] = itertools.repeat(next(_texts(trajectory.quaternion[:1])), len(trajectory))
     if trajectory.velocity is not None:
         header += VELOCITY
         columns.append(_in_mm(trajectory.velocity))
     if joints is not None:
         header += JOINTS
         columns.append(_texts(np.degrees(np.asarray(joints, float)).reshape(len(trajectory), 6)))
-    rows = (itertools.chain.from_iterable(parts) for parts in zip(*columns, strict=True))
-    times = map(seconds, trajectory.time_ns.tolist())
-    lines = (f"{time},{','.join(row)}\n" for time, row in zip(times, rows, strict=True))
-    write_files({path: (line for part in ([",".join(header) + "\n"], lines) for line in part)})
+    lines = map(",".join, zip(map(seconds, trajectory.time_ns.tolist()), *columns, strict=True))
+    write_files({path: (f"{line}\n" for part in ([",".join(header)], lines) for line in part)})
 
 
-def _texts(values: np.ndarray) -> Iterator[list[str]]:
+def _texts(values: np.ndarray) -> Iterator[str]:
     for part in blocks(len(values)):
-        yield from (list(map(repr, row)) for row in values[part].tolist())
+        yield from (",".join(map(repr, row)) for row in values[part].tolist())
 
 
-def _in_mm(values: np.ndarray) -> Iterator[list[str]]:
+def _in_mm(values: np.ndarray) -> Iterator[str]:
     """Metres as texts in mm: the decimal point is moved, so that no bit is lost."""
     for part in blocks(len(values)):
-        yield from ([str(Decimal(repr(v)).scaleb(3)) for v in row] for row in values[part].tolist())
+        yield from (",".join([str(Decimal(repr(v)).scaleb(3)) for v in row]) for row in values[part].tolist())
 
 
 def read_csv(path) -> tuple[Trajectory, np.ndarray | None]:

@@ -1,6 +1,7 @@
 """Tolerance, decision and verdict: their levels in every output, what is drawn and run, and the recommended method."""
 
 import re
+from concurrent.futures import ThreadPoolExecutor
 from types import SimpleNamespace
 
 import numpy as np
@@ -19,7 +20,7 @@ from kr270_milling.cell.sections import Tolerances
 from kr270_milling.decide import compensation
 from kr270_milling.decide.check import exchange_share
 from kr270_milling.decide.decision import CAUTION, NO, YES, Decision, Limit, limits
-from kr270_milling.decide.part.assessment import SURFACE_ERROR, Judgement, gauge_of, judge_part
+from kr270_milling.decide.part.assessment import SURFACE_ERROR, Judgement, gauge_of, judge_part, rigid_part
 from kr270_milling.decide.part.assessment import judge as tolerance_judge
 from kr270_milling.decide.verdict import (
     HELPS,
@@ -27,6 +28,7 @@ from kr270_milling.decide.verdict import (
     NO_METHOD,
     TRACKED,
     UNTRUSTED,
+    Begun,
     MethodComparison,
     Verdict,
     alternatives,
@@ -376,6 +378,27 @@ def test_the_plants_of_a_tool_path_are_measured_by_the_walls_and_floors_of_their
     moved = cell.stock.replace(min=cell.stock.min + 33e-6, max=cell.stock.max + 33e-6)
     there = run_sample(cell.replace(stock=moved), target, [target], gauge)
     assert there[0, 0] == pytest.approx(row[0], rel=0.1)  # 33 um of 0.5 mm depth are 7 % of the force
+
+
+def test_robots_that_began_beside_other_work_give_the_verdict_that_all_give_in_turn(tmp_path, monkeypatch):
+    """Also where the part of the rigid arm is that of the full exchange, and two of three robots wait for a thread."""
+    monkeypatch.setattr("kr270_milling.cell.plant.MANY", 100)
+    cell = small_part(tmp_path, GCODE, "cutting.detail=engagement", "part.wall_tolerance_um=30")
+    target = path_of(cell).target
+    moved = target.with_position(target.position + [0.0, 10 * UM, 0.0])
+    plain = monte_carlo(cell, moved, 3, 1)
+    with ThreadPoolExecutor(1) as pool:
+        begun = Begun.of(cell, 3, 1, pool.submit(rigid_part, cell), pool)
+        begun.errors[0].result()
+        verdict = monte_carlo(cell, moved, 3, 1, begun=begun)
+    assert begun.nominal.exchange is not cell.exchange
+    np.testing.assert_allclose(verdict.original, plain.original, atol=0.1 * UM)
+    np.testing.assert_allclose(verdict.compensated, plain.compensated, atol=0.1 * UM)
+    with ThreadPoolExecutor(1) as pool:  # without the exchange of a long program all bits are the same
+        monkeypatch.undo()
+        begun = Begun.of(cell, 3, 1, pool.submit(rigid_part, cell), pool)
+        again, plain = monte_carlo(cell, moved, 3, 1, begun=begun), monte_carlo(cell, moved, 3, 1)
+    assert np.array_equal(again.original, plain.original) and np.array_equal(again.compensated, plain.compensated)
 
 
 def test_a_quick_pass_has_a_grid_of_five_nodes_a_tooth_and_keeps_the_deviation(tmp_path):

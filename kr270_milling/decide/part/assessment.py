@@ -15,8 +15,8 @@ import numpy as np
 
 from kr270_milling.base.column import CONVERGED, as_dict, column, computed
 from kr270_milling.cell.cell import Cell
-from kr270_milling.cell.jobs import ScoredPass
-from kr270_milling.cell.models import path_of, program_path
+from kr270_milling.cell.jobs import ScoredPass, cut_along
+from kr270_milling.cell.models import cut_of, path_of, program_path
 from kr270_milling.cell.sections import Tolerances
 from kr270_milling.decide.part.surface import (
     Floors,
@@ -28,6 +28,8 @@ from kr270_milling.decide.part.surface import (
     stations_of,
     surface,
 )
+from kr270_milling.physics.compensation.revision import PassRecord
+from kr270_milling.physics.cutting import CutModel
 from kr270_milling.physics.motion.milling_pass import SERIES, PassResult
 from kr270_milling.physics.motion.scores import path_deviation
 
@@ -237,13 +239,22 @@ class Gauge:
         return judge_part(cell.tolerances, assess_result(cell, "", result, self.ideal, self.path))
 
 
-def gauge_of(cell: Cell) -> Gauge:
-    """Return the gauge of a cell. It sweeps the part of the rigid arm once."""
+def gauge_of(cell: Cell, cut: CutModel | None = None) -> Gauge:
+    """Return the gauge of a cell. It sweeps the part of the rigid arm once; cut: which has left it already."""
     path = path_of(cell)
     stamps = path.clock.stamp(np.arange(path.clock.steps(path.target.duration_ns) + 1))
     along = stations_of(path, stamps)
-    ideal = None if path.straight else ideal_part(cell, along, path.target.sample(stamps))
+    ideal = None if path.straight else ideal_part(cell, along, path.target.sample(stamps), cut)
     return Gauge(cell, stamps, along, ideal)  # type: ignore[arg-type]
+
+
+def rigid_part(cell: Cell) -> tuple[Gauge, CutModel | None, PassRecord | None]:
+    """The gauge of a cell; workpiece and record of a tool on the programmed path, where the gauge is made of them."""
+    if path_of(cell).straight or cell.earlier:
+        return gauge_of(cell), None, None
+    cut = cut_of(cell)
+    record = cut_along(cell, path_of(cell).target, cut)
+    return gauge_of(cell, cut), cut, record
 
 
 def judge(cell: Cell, ran: ScoredPass, part: PartAssessment | None = None) -> Judgement:

@@ -352,13 +352,13 @@ class IdealPart:
     unjudged: np.ndarray  #: floors of holes and of other tools, (a, b) bool
 
 
-def ideal_part(cell: Cell, path: Stations, target: np.ndarray) -> IdealPart:
-    """The part after a rigid arm moved the tool tip through ``target`` (n + 1, 3) [m].
+def ideal_part(cell: Cell, path: Stations, target: np.ndarray, cut: CutModel | None = None) -> IdealPart:
+    """The part after a rigid arm moved the tool tip through ``target`` (n + 1, 3) [m]; cut: where it did so already.
 
     In a program with several tools, the rigid arm made the paths of the earlier tools before. Walls and floors
     belong to the last tool that passes there.
     """
-    cut = machined(cut_of(cell, rigid=True), target, path_of(cell).clock, path_of(cell).target)
+    cut = cut or machined(cut_of(cell, rigid=True), target, path_of(cell).clock, path_of(cell).target)
     level = cut.params.level_step
     x, y, height = cut.map_heights()
     owner = _owners(x, y, height, path, target, cell.tool.radius, level, float(cell.stock.max[2]))

@@ -52,8 +52,9 @@ class Compensator:
     of arm and cut.
 
     A method that repeats, and with ``parameters.repeat`` every method, keeps the best reference so far. It is
-    ``finished`` when a pass improves the error by less than 1 % or less than the noise, or after max_passes. Any other
-    method only revises the reference of the last pass.
+    ``finished`` when a pass improves the error by less than 1 % or less than the noise, when it leaves less than the
+    share ``enough`` of the first error, or after max_passes. Any other method only revises the reference of the last
+    pass.
     """
 
     def __init__(
@@ -68,6 +69,7 @@ class Compensator:
         self.models = models or CellModels()
         self.chosen = method_of(method or parameters.planned_method)  #: the method object
         self.first: PassRecord | None = None  #: the pass along the target
+        self.enough = 0.0
         self.reset()
 
     @property
@@ -178,7 +180,8 @@ class Compensator:
         least_step = 0.05e-6  # [m]: an improvement of the largest error by less, or by less than 1 %, ends the learning
         worth = first or best - error > max(0.01 * best, least_step, floor)
         self._in_vain = 0 if worth else self._in_vain + 1
-        return self.finished or self._in_vain > bool(floor) or len(self.errors) > self.parameters.max_passes
+        few = not first and error <= self.enough * self.errors[0]
+        return self.finished or few or self._in_vain > bool(floor) or len(self.errors) > self.parameters.max_passes
 
     def improve(self, first: PassRecord, run: Callable[[Trajectory], PassRecord]) -> Trajectory:
         """Return the best reference: revise from the first pass and, where the method repeats, run and revise again."""

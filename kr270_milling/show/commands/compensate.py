@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import itertools
 import sys
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -204,10 +205,14 @@ def _write(draft, final, jobs, decision, args, source, whole, reached) -> dict:
     tools, texts, pages = [], [], []
     for cell, result in jobs:
         values = _values(cell, result)
-        placed, text = _write_programs(draft, final, cell, result, decision.level, args, date)
-        tools.append(values | placed)
-        texts.append(text)
-        pages.append(_report_of_tool(cell, result, args, source, date, whole, reached, values))
+        with ThreadPoolExecutor(1) as pool:
+            softer = pool.submit(softer_pass, cell, result.revised.reference)
+            placed, text = _write_programs(draft, final, cell, result, decision.level, args, date)
+            tools.append(values | placed)
+            texts.append(text)
+            with whole.under(title_of(cell))("lower acceleration"):
+                page = _report_of_tool(cell, result, args, source, date, softer.result(), reached, values)
+        pages.append(page)
         if result.parts and "stl" in args.write:
             stl = draft / f"part_{result.revised.name}{cell.stage.suffix if cell.stage else ''}.stl"
             write_part(stl, cut_of(cell), result.revised.result, path_of(cell).clock, path_of(cell).target)
@@ -279,7 +284,7 @@ def _write_programs(draft, final, cell, result, level: str, args, date: str) -> 
     return placed, text
 
 
-def _report_of_tool(cell, result, args, source, date: str, whole, reached, values: dict) -> str:
+def _report_of_tool(cell, result, args, source, date: str, softer, reached, values: dict) -> str:
     """Return the report of one tool as text."""
     revised = result.revised
     title = f"{cell.path.file_name or source.name}: before and after compensation ({revised.name})"
@@ -297,7 +302,7 @@ def _report_of_tool(cell, result, args, source, date: str, whole, reached, value
             *([_levers_table(*reached)] if reached else []),
             *([_passes_table(values["finish"])] if "finish" in values else []),
             _joints_table(cell, revised),
-            _time_law_table(cell, result, whole),
+            _time_law_table(cell, result, softer),
         ],
     )
 
@@ -313,10 +318,8 @@ def _joints_table(cell, revised):
     return TextTable("Commanded joints [deg]", head, tuple(rows), f"of the pass '{revised.name}', signs as KUKA's")
 
 
-def _time_law_table(cell, result, whole):
+def _time_law_table(cell, result, softer):
     """Largest deviation of the plan, of the written program, and of its points with a lower acceleration."""
-    with whole.under(title_of(cell))("lower acceleration") as report:
-        softer = softer_pass(cell, result.revised.reference, progress=report)
     rows = [("plan", result.planned.scores), ("written program", result.revised.scores)]
     rows += [(f"written program, {SOFTER:g} times the acceleration", softer.scores)] if softer else []
     texts = tuple((name, f"{1e6 * scores.max_deviation:.2f}") for name, scores in rows)

@@ -254,6 +254,27 @@ def test_the_cut_answers_a_tool_that_sinks(tmp_path):
     assert before.min() > 30 * UM and after.max() < 1 * UM
 
 
+def test_a_long_program_learns_from_passes_of_the_model_and_ends_with_a_tenth_of_the_error(tmp_path, monkeypatch):
+    """The wrench on the path is that of the rigid cut: a pass of the model is the pass that the model predicts."""
+    cell = small_part(
+        tmp_path, SHALLOW, "cutting.detail=engagement", "dynamics.reference_inertia=true",
+        "dynamics.damping_ratio=0.04", "dynamics.mass_model=rigid",
+    )  # fmt: skip
+    monkeypatch.setattr(jobs, "FEW_PERIODS", 10)
+    monkeypatch.setattr(jobs, "predicted", None)
+    by = jobs.compensator(cell, path_of(cell).target, "learned")
+    evidence: list = []
+    by.revise, revise = lambda record: (revise(record), evidence.extend(by.learner.passes))[0], by.revise
+    planned = compensated(cell, simulate(cell), "learned", by=by)
+    first, *between, last = by.errors
+    assert last <= 0.1 * first and all(error > 0.1 * first for error in between)
+    assert planned.result is None and planned.reference is by.best
+    rigid = cut_along(cell, path_of(cell).target)
+    exact = by.learner.segments.mean(rigid.time_ns - round(0.5e9 * cell.exchange.period), rigid.wrench)
+    on_path = evidence[0].on_path
+    np.testing.assert_allclose(on_path[:-1], exact[:-1], atol=1e-6 * np.abs(exact).max())  # [N, N m]
+
+
 def test_robust_equals_inverse_without_uncertainty_and_is_better_in_the_mean_of_other_robots(cell, few_robots):
     """Robots with a soft base and a lag of 10 to 20 Hz, other ones than it planned for."""
     moving = cell.replace(compensation=cell.compensation.replace(criterion="least_squares"))
