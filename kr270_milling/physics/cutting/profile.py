@@ -126,10 +126,10 @@ def profile_of(tool: Tool, stock: Stock) -> tuple[Profile, float, float]:
     """
     points = outline(tool)
     radius, fine = float(points[-1, 0]), [points[:1]]
-    turn = math.radians(3.0)  # of the edge within a piece
+    turn = math.radians(6.0)  # of the edge within a piece
     # of a piece, as a share of the radius: the tip of a ball meets several in a shallow cut. At the axis, where most of
     # the volume of a piece is far from the axis, pieces are narrower, those of a line most of all
-    width, growth = 0.05, np.zeros(0)
+    width, growth = 0.07, np.zeros(0)
     for before, after in zip(points, points[1:], strict=False):
         wide, high = np.abs(after - before) / radius
         count = max(1, math.ceil(wide / width - 1e-9), math.ceil(high / (4.0 * width) - 1e-9))

@@ -105,14 +105,15 @@ def lower_upright(s, p, x0, y0, z0, x1, y1, z1):
     highest = p.profile.length.size - 1
     while highest > 0 and p.profile.edges[highest] >= deepest * levels:
         highest -= 1
+    lowest = np.uint64(p.profile.length.size)
     if deepest <= 1e-3 * p.level_step or outside(p, x1, y1):
         remember(s, x1, y1, np.int64(0))
     else:
-        _lower(s, p, x0, y0, m / p.spacing, ahead_x, ahead_y, (p.top - z0) * levels, sinks, behind, highest)
+        lowest = _lower(s, p, x0, y0, m / p.spacing, ahead_x, ahead_y, (p.top - z0) * levels, sinks, behind, highest)
         remember(s, x1, y1, np.int64(max((p.top - z1) * levels, 0.0)))
     angles = 2 * p.widths.size if behind or sinks < 0.0 else p.widths.size
     frame = (ahead_x, ahead_y, 0.0, -ahead_y, ahead_x, 0.0, 0.0, 0.0, 1.0)
-    return (m, 0.0, z1 - z0, 0.0, 0.0), frame, (angles, highest)
+    return (m, 0.0, z1 - z0, 0.0, 0.0), frame, (angles, np.int64(lowest), highest)
 
 
 @inlined
@@ -160,7 +161,7 @@ def _lower(s, p, x0, y0, m, ahead_x, ahead_y, below, sinks, behind, highest):
             if slot < 0:
                 slot = take_tile(s, i, j)
                 if slot < 0:
-                    return
+                    return np.uint64(0)
             place = ((np.int64(slot) << 16) | ((i & 255) << 8)) - (j & ~255)
             run = np.uint64((place + j) // RUN)
             if goal < s.edge.highest[run] + 0.5:
@@ -172,13 +173,15 @@ def _lower(s, p, x0, y0, m, ahead_x, ahead_y, below, sinks, behind, highest):
             count += 1
     # after the choice of all runs: a processor that guesses a branch of the bins wrong then waits less
     step = (m, ahead_x, ahead_y, below, sinks, behind, slope, inverse, r, entry, p.spacing * levels)
+    lowest = np.uint64(p.profile.length.size)
     for k in range(count):
-        _run(s, p, runs[k], u0, v0, step)
+        lowest = min(lowest, _run(s, p, runs[k], u0, v0, step))
+    return lowest
 
 
 @inlined
 def _run(s, p, run, u0, v0, step):
-    """Lower the nodes of one run, and add what they lose to their bins.
+    """Lower the nodes of one run, add what they lose to their bins, and return the lowest piece of these.
 
     run: i, first and last j, place of j = 0 in the pool, whether the rim is near, distance to the way [nodes].
     The loops over all nodes of the run have no branches, so that they become vector instructions.
@@ -250,6 +253,7 @@ def _run(s, p, run, u0, v0, step):
         work[END + n], work[GOAL + n] = level - work[REST + n], level - work[GOAL + n]
         index[AT + n] = np.int32(min(work[AT + n], max(work[FAR + n], most - one)))
         index[FAR + n], index[SINE + n] = np.int32(work[FAR + n]), np.int32(work[SINE + n])
+    lowest = np.uint64(shape.length.size)
     for n in range(RUN):
         lost = np.float64(work[LOST + n])
         if lost == 0.0:
@@ -266,7 +270,8 @@ def _run(s, p, run, u0, v0, step):
             end = bend
         else:
             each = lost / (end - z)
-        _fill(shape, edges, angle, b, top, z, end, each)
+        lowest = min(lowest, _fill(shape, edges, angle, b, top, z, end, each))
+    return lowest
 
 
 @inlined
@@ -288,7 +293,7 @@ def _heights(shape, work, row, near, far, size, r):
 
 @inlined
 def _fill(shape, edges, angle, b, top, z, end, each):
-    """Add ``each`` level of a column from z to ``end`` [levels] to the pieces b to ``top`` of an angle."""
+    """Add ``each`` level of a column from z to ``end`` [levels] to the pieces b to ``top`` of an angle; return b."""
     lost, passed = edges.lost[angle], edges.ahead[angle]
     while b < top and shape.edges[b + ONE] <= z:
         b += ONE
@@ -302,6 +307,7 @@ def _fill(shape, edges, angle, b, top, z, end, each):
         passed[top] -= each
     lost[b] += each * ((shape.edges[b + ONE] if b < top else end) - z)
     lost[max(top, b + ONE)] += each * (end - shape.edges[top] if b < top else 0.0)
+    return b
 
 
 @inlined
@@ -343,14 +349,14 @@ def edge_load(s, p, motion, frame, passes, used, tilted, wrench):
     """Add the mean wrench of the removed bins; returns mean torque, height above the tip and thrust of the flat end.
 
     motion: of the tip along e1, e2 and a [m], rotation about e1 and e2 [rad]; frame: e1, e2 and a, nine numbers;
-    used: angles and highest piece of the bins that may have lost something, which are emptied.
+    used: angles, lowest and highest piece of the bins that may have lost something, which are emptied.
     """
     m, side, dz, turn_1, turn_2 = motion
     shape, cell, each = p.profile, p.spacing * p.spacing * p.level_step, 1.0 / passes
     teeth, bins, last = p.teeth / (2.0 * math.pi), p.widths.size, shape.length.size - 1
     size = math.sqrt(m * m + side * side + dz * dz) + p.radius * math.sqrt(turn_1 * turn_1 + turn_2 * turn_2)
     local_x = local_y = force_z = moment_x = moment_y = torque = total = raised = thrust = contact = 0.0
-    angles, highest = used
+    angles, lowest, highest = used
     for k in range(angles):
         q, ahead = (k, 1.0) if k < bins else (k - bins, -1.0)
         width, c, d = p.widths[q], ahead * p.directions[q, 0], p.directions[q, 1]
@@ -360,7 +366,7 @@ def edge_load(s, p, motion, frame, passes, used, tilted, wrench):
         spread_c = 0.5 + 0.5 * (c * c - d * d) * math.sin(width) / width - mean_c * mean_c  # variance of cos(phi)
         left_c = through = 0.0
         own, changes = np.uint64(0), (forward > 0.0) != (dz <= 0.0)
-        for n in range(0 if k < bins else last - highest, last + 1):
+        for n in range(lowest if k < bins else last - highest, last + 1):
             if n > highest and k < bins and left == 0.0:
                 break
             b = np.uint64(n if k < bins else last - n)
