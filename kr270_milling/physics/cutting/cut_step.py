@@ -98,7 +98,7 @@ def engage(s, p, flat, profile, tilts, upright, poses, steps, wrench, torque, vo
             if flat is not None:
                 load = flat_part(s, p, x0, y0, z0, x1, y1, z1, passes, mean)
             if profile is not None:
-                used = 2 * p.widths.size, p.profile.length.size - 1
+                used = 2 * p.widths.size, 0, p.profile.pieces.shape[0] - 1
                 motion, frame = (0.0, 0.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
                 if upright is not None and not tilted:
                     motion, frame, used = lower_upright(s, p, x0, y0, z0, x1, y1, z1)

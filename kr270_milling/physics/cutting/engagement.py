@@ -228,10 +228,10 @@ def make_engagement_state(p: EngagementParams, stock: Stock) -> EngagementState:
     nodes = min(tiles[0] * tiles[1], MAX_TILES) * TILE**2 + BLOCK  # of which a last block may look beyond its tile
     footprint = (2 * p.reach + 3) ** 2
     if p.profile is not None:
-        lost = np.zeros((2 * bins, p.profile.length.size + 1))
+        lost = np.zeros((2 * bins, p.profile.pieces.shape[0] + 1, 2))
         runs, scratch = (2 * p.reach + 3) * ((2 * p.reach + 3) // RUN + 2), 13 * RUN
         edge = EdgeBins(
-            np.zeros(nodes // RUN + 1, np.uint16), lost, lost.copy(), np.zeros(2 * bins), np.zeros(scratch, np.float32),
+            np.zeros(nodes // RUN + 1, np.uint16), lost, np.zeros(2 * bins), np.zeros(scratch, np.float32),
             np.zeros(scratch, np.int32), np.zeros((runs, 6), np.int64), np.zeros(scratch),
         )  # fmt: skip
     ints = np.zeros(INTS, np.int64)

@@ -8,7 +8,7 @@ cylinder.
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -18,14 +18,14 @@ from kr270_milling.physics.cutting.tool import Tool
 ENTRIES = 4096  # of the profile from the axis to the radius
 LEVEL = 1e-6  # cos(kappa) of a flat end is 1 to this
 RUN = 16  # nodes of a row whose highest one is known
+# Columns of ``Profile.pieces``: length [m], half of the turn [rad], then means over the piece: r and height above the
+# tip [m], sin(kappa), cos(kappa), r sin(kappa), r cos(kappa)
+LENGTH, BEND, LEVER, HEIGHT, SINE_K, COSINE_K, SINE_R, COSINE_R = range(8)
 ARC = math.radians(0.25)  # between two points of an arc: a chord stays within 2.4e-6 of its radius
 
 
 class Profile(NamedTuple):
-    """Edge of a cutter of revolution in n pieces from the tip upwards, and its cylinder as the last piece.
-
-    Means are over the piece.
-    """
+    """Edge of a cutter of revolution in n pieces from the tip upwards, and its cylinder as the last piece."""
 
     height: np.ndarray  # float32, (ENTRIES + 2,): of the profile by the distance from the axis [levels]
     # float32, (m - 1, 5): of the lines and arcs, radius and height of the start, radius of the end and of the arc
@@ -35,14 +35,7 @@ class Profile(NamedTuple):
     lead: np.ndarray
     piece: np.ndarray  # uint16, same shape: piece of the edge by the distance from the axis
     edges: np.ndarray  # (n + 1,): heights of the edges of the pieces [levels]
-    length: np.ndarray  # (n + 1,), as all that follow: of the edge [m]
-    bend: np.ndarray  # half of its turn [rad]
-    lever: np.ndarray  # mean r [m]
-    middle: np.ndarray  # mean height [m]
-    sine: np.ndarray  # mean sin(kappa)
-    cosine: np.ndarray  # mean cos(kappa)
-    sine_area: np.ndarray  # mean r sin(kappa) [m]
-    cosine_area: np.ndarray  # mean r cos(kappa) [m]
+    pieces: np.ndarray  # (n + 1, 8): columns LENGTH to COSINE_R
     rims: np.ndarray  # (n + 1,): radii of the edges of the pieces [m]
     parts: np.ndarray  # (m, 7): ``edge_parts`` and the cylinder above them
     hollow: bool  # the profile is not convex
@@ -52,10 +45,10 @@ class EdgeBins(NamedTuple):
     """Part of the state of a cut by a tool with a profile."""
 
     highest: np.ndarray  # uint16, (nodes / RUN,): least level of the nodes of a run, or less
-    lost: np.ndarray  # (bins, n + 1): levels removed in the present step, by angle and piece
-    # (bins, n + 1): these levels times |cos(phi)| of their places; of an upright cutter, levels that all pieces from
-    # this one on lost for each level of their height
-    ahead: np.ndarray
+    # (bins, n + 1, 2), by angle and piece: levels removed in the present step, and before them their sum times
+    # |cos(phi)|. Of an upright cutter: with ``each`` level lost for each level of height from z to ``end``, ``each`` of
+    # the columns that begin less those that end in the piece, and the sum of each end less the sum of each z
+    lost: np.ndarray
     raised: np.ndarray  # (bins,): those of the cylinder times their height above the tip [levels]
     work: np.ndarray  # float32, (13 RUN,): scratch of the nodes of a run
     entries: np.ndarray  # int32, the same: places in tables
@@ -126,10 +119,10 @@ def profile_of(tool: Tool, stock: Stock) -> tuple[Profile, float, float]:
     """
     points = outline(tool)
     radius, fine = float(points[-1, 0]), [points[:1]]
-    turn = math.radians(3.0)  # of the edge within a piece
+    turn = math.radians(5.0)  # of the edge within a piece
     # of a piece, as a share of the radius: the tip of a ball meets several in a shallow cut. At the axis, where most of
     # the volume of a piece is far from the axis, pieces are narrower, those of a line most of all
-    width, growth = 0.05, np.zeros(0)
+    width, growth = 0.06, np.zeros(0)
     for before, after in zip(points, points[1:], strict=False):
         wide, high = np.abs(after - before) / radius
         count = max(1, math.ceil(wide / width - 1e-9), math.ceil(high / (4.0 * width) - 1e-9))
@@ -156,8 +149,10 @@ def profile_of(tool: Tool, stock: Stock) -> tuple[Profile, float, float]:
 
     sine, cosine, lever = np.sin(kappa), np.cos(kappa), middle[:, 0]
     means = [*map(mean, (lever, middle[:, 1], sine, cosine, lever * sine, lever * cosine))]
-    flat = means[3] > 1.0 - LEVEL
-    cylinder = (1.0, 0.0, radius, 0.0, 1.0, 0.0, radius, 0.0)  # length, bend, then the means
+    pieces = np.column_stack([total, bend, *means])
+    flat = pieces[:, COSINE_K] > 1.0 - LEVEL
+    # the cylinder; the height is that of the piece below
+    pieces = np.vstack([pieces, [1.0, 0.0, radius, pieces[-1, HEIGHT], 1.0, 0.0, radius, 0.0]])
     distance = np.minimum(np.arange(ENTRIES + 2) / ENTRIES, 1.0) * radius
     height = np.interp(distance, *points.T)
     lead = np.minimum(distance, radius) / np.maximum(np.gradient(height, distance[1]), 1e-9)
@@ -166,10 +161,6 @@ def profile_of(tool: Tool, stock: Stock) -> tuple[Profile, float, float]:
     piece[ENTRIES:] = total.size
     parts = cutter_of(tool)
     slopes = np.where(parts[:-1, 4] > 0.0, 0.0, parts[:-1, 5] / np.maximum(parts[:-1, 6], 1e-9))
-    names = ("length", "bend", "lever", "middle", "sine", "cosine", "sine_area", "cosine_area")
-    columns: Any = {
-        name: np.append(values, last) for name, values, last in zip(names, (total, bend, *means), cylinder, strict=True)
-    }
     hollow = bool((np.diff(np.arctan2(parts[:, 5], parts[:, 6])) < -1e-9).any())
     profile = Profile(
         (height / stock.level_step).astype(np.float32),
@@ -177,9 +168,9 @@ def profile_of(tool: Tool, stock: Stock) -> tuple[Profile, float, float]:
         np.minimum(lead * stock.level_step / stock.grid_step**2, 1e9).astype(np.float32),
         piece.astype(np.uint16),
         np.append(edges[:, 1] / stock.level_step, [math.inf, math.inf]),
-        **columns,
-        rims=edges[:, 0].copy(),
-        parts=parts,
-        hollow=hollow,
+        pieces,
+        edges[:, 0].copy(),
+        parts,
+        hollow,
     )
     return profile, radius, float(edges[1:, 0][flat].max(initial=0.0))

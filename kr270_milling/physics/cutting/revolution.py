@@ -51,7 +51,19 @@ from kr270_milling.physics.cutting.engagement import (
 )
 from kr270_milling.physics.cutting.force_law import forces_at
 from kr270_milling.physics.cutting.grid import LEVELS
-from kr270_milling.physics.cutting.profile import ENTRIES, LEVEL, RUN
+from kr270_milling.physics.cutting.profile import (
+    BEND,
+    COSINE_K,
+    COSINE_R,
+    ENTRIES,
+    HEIGHT,
+    LENGTH,
+    LEVEL,
+    LEVER,
+    RUN,
+    SINE_K,
+    SINE_R,
+)
 from kr270_milling.physics.cutting.state import LEVEL_SUM, LOGGED, NODES_CUT
 
 # Rows of ``EdgeBins.work``, a number for each node of a run
@@ -102,17 +114,18 @@ def lower_upright(s, p, x0, y0, z0, x1, y1, z1):
     m = math.sqrt(dx * dx + dy * dy)
     ahead_x, ahead_y = (dx / m, dy / m) if m > 0.0 else (1.0, 0.0)
     behind = s.ints[FLOOR_LEVEL] < 0 or sinks > 0.0 or m == 0.0  # a tool that does not sink cuts nothing behind
-    highest = p.profile.length.size - 1
+    highest = p.profile.pieces.shape[0] - 1
     while highest > 0 and p.profile.edges[highest] >= deepest * levels:
         highest -= 1
+    lowest = np.uint64(p.profile.pieces.shape[0])
     if deepest <= 1e-3 * p.level_step or outside(p, x1, y1):
         remember(s, x1, y1, np.int64(0))
     else:
-        _lower(s, p, x0, y0, m / p.spacing, ahead_x, ahead_y, (p.top - z0) * levels, sinks, behind, highest)
+        lowest = _lower(s, p, x0, y0, m / p.spacing, ahead_x, ahead_y, (p.top - z0) * levels, sinks, behind, highest)
         remember(s, x1, y1, np.int64(max((p.top - z1) * levels, 0.0)))
     angles = 2 * p.widths.size if behind or sinks < 0.0 else p.widths.size
     frame = (ahead_x, ahead_y, 0.0, -ahead_y, ahead_x, 0.0, 0.0, 0.0, 1.0)
-    return (m, 0.0, z1 - z0, 0.0, 0.0), frame, (angles, highest)
+    return (m, 0.0, z1 - z0, 0.0, 0.0), frame, (angles, np.int64(lowest), highest)
 
 
 @inlined
@@ -160,7 +173,7 @@ def _lower(s, p, x0, y0, m, ahead_x, ahead_y, below, sinks, behind, highest):
             if slot < 0:
                 slot = take_tile(s, i, j)
                 if slot < 0:
-                    return
+                    return np.uint64(0)
             place = ((np.int64(slot) << 16) | ((i & 255) << 8)) - (j & ~255)
             run = np.uint64((place + j) // RUN)
             if goal < s.edge.highest[run] + 0.5:
@@ -172,13 +185,15 @@ def _lower(s, p, x0, y0, m, ahead_x, ahead_y, below, sinks, behind, highest):
             count += 1
     # after the choice of all runs: a processor that guesses a branch of the bins wrong then waits less
     step = (m, ahead_x, ahead_y, below, sinks, behind, slope, inverse, r, entry, p.spacing * levels)
+    lowest = np.uint64(p.profile.pieces.shape[0])
     for k in range(count):
-        _run(s, p, runs[k], u0, v0, step)
+        lowest = min(lowest, _run(s, p, runs[k], u0, v0, step))
+    return lowest
 
 
 @inlined
 def _run(s, p, run, u0, v0, step):
-    """Lower the nodes of one run, and add what they lose to their bins.
+    """Lower the nodes of one run, add what they lose to their bins, and return the lowest piece of these.
 
     run: i, first and last j, place of j = 0 in the pool, whether the rim is near, distance to the way [nodes].
     The loops over all nodes of the run have no branches, so that they become vector instructions.
@@ -248,25 +263,35 @@ def _run(s, p, run, u0, v0, step):
     for n in range(RUN):
         level = below_ + half * work[SHARE + n] * sinks_
         work[END + n], work[GOAL + n] = level - work[REST + n], level - work[GOAL + n]
-        index[AT + n] = np.int32(min(work[AT + n], max(work[FAR + n], most - one)))
-        index[FAR + n], index[SINE + n] = np.int32(work[FAR + n]), np.int32(work[SINE + n])
+        at, far = min(work[AT + n], max(work[FAR + n], most - one)), work[FAR + n]
+        index[AT + n], index[FAR + n] = np.int32(min(at, far)), np.int32(max(at, far))
+        index[SINE + n] = np.int32(work[SINE + n])
+    lowest = np.uint64(shape.pieces.shape[0])
     for n in range(RUN):
         lost = np.float64(work[LOST + n])
         if lost == 0.0:
             continue
         angle = p.front[np.uint32(index[SINE + n])]
-        far, at = np.uint64(shape.piece[np.uint32(index[FAR + n])]), np.uint64(shape.piece[np.uint32(index[AT + n])])
+        b, top = np.uint64(shape.piece[np.uint32(index[AT + n])]), np.uint64(shape.piece[np.uint32(index[FAR + n])])
         z, end = np.float64(work[GOAL + n]), np.float64(work[END + n])
-        b, top = min(at, far), max(at, far)
+        while b < top and shape.edges[b + ONE] <= z:
+            b += ONE
+        while b < top and shape.edges[top] >= end:
+            top -= ONE
+        lowest = min(lowest, b)
         if rim and work[COVER + n] > zero:  # above the height at which the rim covered a part before, less is left
             left = max(1.0 - np.float64(work[COVER + n] / work[PART + n]), 1e-3)
             bend = min(max(np.float64(work[START + n]), z), end)
             each = lost / (bend - z + left * (end - bend))
-            _fill(shape, edges, angle, b, top, bend, end, each * left)
-            end = bend
+            middle = b
+            while middle < top and shape.edges[middle + ONE] <= bend:
+                middle += ONE
+            _fill(shape, edges, angle, middle, top, bend, end, each * left)
+            end, top = bend, middle
         else:
             each = lost / (end - z)
         _fill(shape, edges, angle, b, top, z, end, each)
+    return lowest
 
 
 @inlined
@@ -289,19 +314,14 @@ def _heights(shape, work, row, near, far, size, r):
 @inlined
 def _fill(shape, edges, angle, b, top, z, end, each):
     """Add ``each`` level of a column from z to ``end`` [levels] to the pieces b to ``top`` of an angle."""
-    lost, passed = edges.lost[angle], edges.ahead[angle]
-    while b < top and shape.edges[b + ONE] <= z:
-        b += ONE
-    while b < top and shape.edges[top] >= end:
-        top -= ONE
-    if top == np.uint64(shape.length.size - 1):
+    low, high = edges.lost[angle, b], edges.lost[angle, top]
+    low[0] += each  # no branch: the force adds what lies between both pieces
+    low[1] -= each * z
+    high[0] -= each
+    high[1] += each * end
+    if top == np.uint64(shape.pieces.shape[0] - 1):
         start = max(z, shape.edges[top])
         edges.raised[angle] += each * (end - start) * 0.5 * (end + start)
-    if b + ONE < top:  # the pieces between both have their whole height of it: a sum over the pieces below adds them
-        passed[b + ONE] += each
-        passed[top] -= each
-    lost[b] += each * ((shape.edges[b + ONE] if b < top else end) - z)
-    lost[max(top, b + ONE)] += each * (end - shape.edges[top] if b < top else 0.0)
 
 
 @inlined
@@ -343,14 +363,14 @@ def edge_load(s, p, motion, frame, passes, used, tilted, wrench):
     """Add the mean wrench of the removed bins; returns mean torque, height above the tip and thrust of the flat end.
 
     motion: of the tip along e1, e2 and a [m], rotation about e1 and e2 [rad]; frame: e1, e2 and a, nine numbers;
-    used: angles and highest piece of the bins that may have lost something, which are emptied.
+    used: angles, lowest and highest piece of the bins that may have lost something, which are emptied.
     """
     m, side, dz, turn_1, turn_2 = motion
     shape, cell, each = p.profile, p.spacing * p.spacing * p.level_step, 1.0 / passes
-    teeth, bins, last = p.teeth / (2.0 * math.pi), p.widths.size, shape.length.size - 1
+    teeth, bins, last = p.teeth / (2.0 * math.pi), p.widths.size, shape.pieces.shape[0] - 1
     size = math.sqrt(m * m + side * side + dz * dz) + p.radius * math.sqrt(turn_1 * turn_1 + turn_2 * turn_2)
     local_x = local_y = force_z = moment_x = moment_y = torque = total = raised = thrust = contact = 0.0
-    angles, highest = used
+    angles, lowest, highest = used
     for k in range(angles):
         q, ahead = (k, 1.0) if k < bins else (k - bins, -1.0)
         width, c, d = p.widths[q], ahead * p.directions[q, 0], p.directions[q, 1]
@@ -359,15 +379,18 @@ def edge_load(s, p, motion, frame, passes, used, tilted, wrench):
         forward, turning, left = m * mean_c + side * mean_d, turn_2 * mean_c - turn_1 * mean_d, 0.0
         spread_c = 0.5 + 0.5 * (c * c - d * d) * math.sin(width) / width - mean_c * mean_c  # variance of cos(phi)
         left_c = through = 0.0
+        push = pull = rise = lift = sway = push_high = pull_high = 0.0  # of the angle: out, across it, up, moments
         own, changes = np.uint64(0), (forward > 0.0) != (dz <= 0.0)
-        for n in range(0 if k < bins else last - highest, last + 1):
+        for n in range(lowest if k < bins else last - highest, last + 1):
             if n > highest and k < bins and left == 0.0:
                 break
             b = np.uint64(n if k < bins else last - n)
-            lost_here, volume_c = s.edge.lost[k, b], s.edge.ahead[k, b]
-            s.edge.lost[k, b] = s.edge.ahead[k, b] = 0.0
+            here = s.edge.lost[k, b]
+            volume_c, lost_here = here[0], here[1]
+            here[0] = here[1] = 0.0
             volume = lost_here + left
             if not tilted:
+                volume += volume_c * shape.edges[b]
                 through += volume_c if k < bins else 0.0
                 if b < np.uint64(last) and through > 1e-9:
                     volume += through * (shape.edges[b + ONE] - shape.edges[b])
@@ -378,16 +401,17 @@ def edge_load(s, p, motion, frame, passes, used, tilted, wrench):
                 continue
             if volume > left:
                 own = b
-            sine, cosine, lever, room = shape.sine[b], shape.cosine[b], shape.lever[b], width * shape.length[b]
-            middle = shape.middle[min(b, np.uint64(last - 1))]
+            piece = shape.pieces[b]
+            sine, cosine, lever, room = piece[SINE_K], piece[COSINE_K], piece[LEVER], width * piece[LENGTH]
+            middle = piece[HEIGHT]
             if b == np.uint64(last) and volume > left:
-                middle = s.edge.raised[k] / lost_here * p.level_step
-            swing = turning * (middle * sine + shape.cosine_area[b])
+                middle = s.edge.raised[k] / (volume - left) * p.level_step
+            swing = turning * (middle * sine + piece[COSINE_R])
             normal = forward * sine - dz * cosine + swing
-            area = forward * shape.sine_area[b] - dz * shape.cosine_area[b] + swing * lever
+            area = forward * piece[SINE_R] - dz * piece[COSINE_R] + swing * lever
             crossed, amount = False, volume * cell
             if changes:
-                spread = 0.5 * width * abs(m * d) * sine + shape.bend[b] * abs(forward * cosine + dz * sine)
+                spread = 0.5 * width * abs(m * d) * sine + piece[BEND] * abs(forward * cosine + dz * sine)
                 crossed = normal < spread
                 if crossed:  # d.n changes its sign within the bin
                     room *= 0.5 * (normal + spread) / max(spread, 1e-12)
@@ -399,31 +423,28 @@ def edge_load(s, p, motion, frame, passes, used, tilted, wrench):
                 continue
             if lost:  # no piece moves into the material at this angle: nodes beside the line d.n = 0
                 b = own
-                sine, cosine, lever, room = shape.sine[b], shape.cosine[b], shape.lever[b], width * shape.length[b]
+                piece = shape.pieces[b]
+                sine, cosine, lever, room = piece[SINE_K], piece[COSINE_K], piece[LEVER], width * piece[LENGTH]
                 normal = max(size, amount / (room * lever))
                 area = normal * lever
             left = left_c = 0.0
-            points, skew, spread = 1, 0.0, 0.0
+            points, skew, spread, thinner = 1, 0.0, 0.0, 1.0
             if not lost and not crossed and volume_c > 0.0 and m * sine > 0.0:
                 spread = min(m * sine * math.sqrt(spread_c), 0.9 * normal)
                 own_c = m * sine * (ahead * volume_c / volume - mean_c)
                 skew = (normal * normal - spread * spread) / max(normal - own_c, 0.1 * normal) - normal
                 skew = min(max(skew / spread, -1.0), 1.0)
+                thinner = normal / (normal + skew * spread)
                 points = 2 if spread > 0.05 * normal else 1
             # a volume beside d.n = 0 had up to 70 m of edge; of a flank, the height that counts is its radius
             most = MOST * room if crossed else 50.0 * min(room, width * p.radius)
-            if amount > most * area:
-                area = amount / most
-                normal = area / lever
-            arm = area / normal
-            whole = teeth * amount / (arm * (normal + skew * spread))
+            length, arm = amount / area, area / normal
+            if length > most:
+                normal, spread, length = normal * length / most, spread * length / most, most
+            whole = teeth * length * thinner
             for point in range(points):
                 place, weight = (2.0 * point - 1.0, 0.5 + (point - 0.5) * skew) if points == 2 else (skew, 1.0)
                 edge, h = whole * weight, (normal + place * spread) * each
-                c, d = ahead * p.directions[q, 0], p.directions[q, 1]
-                if points == 2:
-                    c = mean_c + ahead * place * math.sqrt(spread_c)
-                    d = math.copysign(math.sqrt(1.0 - c * c), d)
                 if cosine > 1.0 - LEVEL:
                     f_t, f_r = layer_force(p, h)
                     f_a = 0.0
@@ -432,12 +453,21 @@ def edge_load(s, p, motion, frame, passes, used, tilted, wrench):
                 else:
                     f_t, f_r, f_a = forces_at(p.law, h)
                 out, up = -f_r * sine - f_a * cosine, f_r * cosine - f_a * sine
-                x, y, z = edge * (out * c + p.sense * f_t * d), edge * (out * d - p.sense * f_t * c), edge * up
-                local_x, local_y, force_z = local_x + x, local_y + y, force_z + z
-                moment_x += lever * d * z - middle * y
-                moment_y += middle * x - lever * c * z
+                x, y, z = edge * out, p.sense * edge * f_t, edge * up
                 torque += f_t * edge * arm
+                lever_z = lever * z
+                if points == 2:  # turned from the direction of the chip to that of the bin
+                    chip_c = mean_c + ahead * place * math.sqrt(spread_c)
+                    chip_d = math.copysign(math.sqrt(1.0 - chip_c * chip_c), d)
+                    turn_c, turn_d = c * chip_c + d * chip_d, c * chip_d - d * chip_c
+                    x, y, sway = x * turn_c + y * turn_d, y * turn_c - x * turn_d, sway + lever_z * turn_d
+                    lever_z *= turn_c
+                push, pull, rise, lift = push + x, pull + y, rise + z, lift + lever_z
+                push_high, pull_high = push_high + middle * x, pull_high + middle * y
             total, raised = total + volume, raised + volume * middle
+        local_x, local_y, force_z = local_x + push * c + pull * d, local_y + push * d - pull * c, force_z + rise
+        moment_x += lift * d + sway * c - push_high * d + pull_high * c
+        moment_y += push_high * c + pull_high * d - lift * c + sway * d
         s.edge.raised[k] = 0.0
     if s.ints[FLOOR_LEVEL] > s.ints[FLOOR_NEAR]:
         s.floats[CONTACT] = max(contact, 0.9 * s.floats[CONTACT])

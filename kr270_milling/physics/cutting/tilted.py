@@ -33,7 +33,7 @@ import numpy as np
 from kr270_milling.physics.cutting.compiled import compiled, inlined, inner
 from kr270_milling.physics.cutting.engagement import BEYOND, FLOOR_LEVEL, RIM, SINES, SWING, take_tile
 from kr270_milling.physics.cutting.grid import LEVELS
-from kr270_milling.physics.cutting.profile import ENTRIES, RUN
+from kr270_milling.physics.cutting.profile import BEND, COSINE_K, ENTRIES, RUN, SINE_K
 from kr270_milling.physics.cutting.revolution import GOAL, LOST, PART, REST, SHARE, lower_nodes
 from kr270_milling.physics.cutting.state import UNDERCUT
 
@@ -650,7 +650,7 @@ def _sort_column(s, p, step, frame, share, column, lost):
     column: place and lower end from the tip at the end of the step, height [m], and where its slices are seen, 0 to 1.
     """
     x, y, z, height, within = column
-    shape, bins, last, levels = p.profile, p.widths.size, p.profile.length.size - 1, 1.0 / p.level_step
+    shape, bins, last, levels = p.profile, p.widths.size, p.profile.pieces.shape[0] - 1, 1.0 / p.level_step
     back = 1.0 - share
     end_x, end_y, end_z = x + back * step[0], y + back * step[1], z + back * step[2]  # from the tip where it is lowest
     m = step[0] * frame[0] + step[1] * frame[1] + step[2] * frame[2]
@@ -692,7 +692,7 @@ def _sort_column(s, p, step, frame, share, column, lost):
                     b += 1
                 while b > 0 and not _above(shape, b - 1, rho, h * levels, p.level_step):
                     b -= 1
-            steep = level or beyond or (shape.cosine[b] < 0.3 and abs(sink) < m)
+            steep = level or beyond or (shape.pieces[b, COSINE_K] < 0.3 and abs(sink) < m)
             if steep:  # a height and its e2 meet the circle at this height
                 h = max(h, 0.0)
                 while b < last and h * levels >= shape.edges[b + 1]:
@@ -703,15 +703,16 @@ def _sort_column(s, p, step, frame, share, column, lost):
                 across = min(max(e2 / radius, -1.0), 1.0)
             # above the end at the start: the side left it in a cell of its rim
             if left == 0 and end_h + share * sink > 2.0 * p.level_step and shape.edges[b] < 0.5:
-                while b < last and shape.sine[b] < FLAT:
+                while b < last and shape.pieces[b, SINE_K] < FLAT:
                     b += 1
-            if beyond or left == 0 or level or (not steep and shape.bend[b] > 0.0 and shape.cosine[b] < 0.9):
+            piece = shape.pieces[b]
+            if beyond or left == 0 or level or (not steep and piece[BEND] > 0.0 and piece[COSINE_K] < 0.9):
                 break
             if steep:
                 now = (radius * math.sqrt(1.0 - across * across) - end_1) / m
             else:
-                gap = (rho - shape.rims[b]) * shape.sine[b] - (h - shape.edges[b] * p.level_step) * shape.cosine[b]
-                speed = (m * e1 + side * e2) / rho * shape.sine[b] - sink * shape.cosine[b]
+                gap = (rho - shape.rims[b]) * piece[SINE_K] - (h - shape.edges[b] * p.level_step) * piece[COSINE_K]
+                speed = (m * e1 + side * e2) / rho * piece[SINE_K] - sink * piece[COSINE_K]
                 now = before - gap / max(speed, 1e-15)
             before = min(max(now, 0.0), share)
         if beyond and (e1 <= 0.0 or abs(e2) >= radius):
@@ -720,8 +721,8 @@ def _sort_column(s, p, step, frame, share, column, lost):
         angle = np.int64(p.front[np.int64(BEYOND + 0.5 * SINES * (1.0 + across))])
         if e1 < 0.0 and not level:
             angle += bins
-        s.edge.lost[angle, b] += each
-        s.edge.ahead[angle, b] += each * math.sqrt(max(1.0 - across * across, 0.0))
+        s.edge.lost[angle, b, 1] += each
+        s.edge.lost[angle, b, 0] += each * math.sqrt(max(1.0 - across * across, 0.0))
         if b == last:
             s.edge.raised[angle] += each * h * levels
 
@@ -730,4 +731,4 @@ def _sort_column(s, p, step, frame, share, column, lost):
 def _above(shape, b, rho, level, level_step):
     """Return whether a place at a distance [m] from the axis and a level above the tip is beyond the piece b."""
     up = (level - shape.edges[b + 1]) * level_step
-    return (rho - shape.rims[b + 1]) * shape.cosine[b] + up * shape.sine[b] > 0.0
+    return (rho - shape.rims[b + 1]) * shape.pieces[b, COSINE_K] + up * shape.pieces[b, SINE_K] > 0.0
