@@ -219,7 +219,7 @@ DRILLED = ("sound/drill_alone_g83", "sound/drill_last", "dangerous/rapid_sideway
 def test_compensate_and_check_of_a_drill_alone_give_the_answer_that_a_judged_program_expects(tmp_path, name):
     program, sound = JUDGED / f"{name}.nc", name.startswith("sound")
     (tmp_path / "cell.yaml").write_text(ask("init", "--gcode", str(program)).out)
-    changes = settings(*re.findall(r"\(set: (.*)\)", program.read_text()))
+    changes = settings("compensation.method=mirror", *re.findall(r"\(set: (.*)\)", program.read_text()))
     words, out = (tmp_path / "cell.yaml", *changes), tmp_path / "out"
     answer = answered("compensate", *words, "--verdict", "0", "--gcode", "--out", out, code=int(not sound))
     rows = answer.get("tools", [answer])

@@ -29,8 +29,6 @@ def cluster():
     """The address of a scheduler with two workers."""
     timeouts = {"distributed.comm.timeouts.connect": "3s"}  # of requests for the result of a killed worker
     with dask.config.set(timeouts), distributed.LocalCluster(2, threads_per_worker=1, dashboard_address=":0") as made:
-        for nanny in made.workers.values():
-            nanny.auto_restart = False  # the other one has the work of a worker that is killed
         yield made.scheduler_address
 
 
