@@ -187,8 +187,6 @@ def check(
     if reachable and reference is None and path.target is not run:
         run = path.target  # slowed down to what the joints can do
         results, _ = arm_violations(arm_of(cell), cell.limits, run)
-    if reachable:
-        results += end_violations(cell, run)
     del joints  # of a long program they take 100 MB
     joints_at_knots.cache_clear()
     results += [*input_violations(cell), *more]
@@ -205,7 +203,10 @@ def check(
             size = pool.submit(_blocks, cell, run, robot_program)
             ran, cut = _cut(cell, run, ran, contacts, progress)
             results += [*links.result(), *cut]
-            about |= {"ran": ran, "blocks": size.result()}
+            about["blocks"], parts = size.result()
+            results += end_violations(cell, run, parts)
+            joints_at_knots.cache_clear()
+            about["ran"] = ran
             if robot_program.motion == "LIN" and not robot_program.blend_distance and about["blocks"]:
                 results.append(violation("no blending", about["blocks"].points, int(path.target.standing.sum())))
             about["rapid_moves"] = tuple(placed(path, run, f) for f in cut if f.what == "rapid in material")
@@ -220,12 +221,15 @@ def check(
     return Checked(gathered(path, run, results), len(run), program, **about)
 
 
-def _blocks(cell: Cell, run: Trajectory, robot_program: Program) -> ProgramBlocks | None:
-    """Return the size of the blocks of the program as ``compensate`` writes it; None where no program holds it."""
+def _blocks(cell: Cell, run: Trajectory, robot_program: Program) -> tuple[ProgramBlocks | None, list[tuple[int, int]]]:
+    """Return the size of the blocks of the program as ``compensate`` writes it, None where no program holds it; parts.
+
+    A part is its first and its last knot.
+    """
     with contextlib.suppress(TrajectoryError):
-        layout = drafted(cell, run, robot_program.motion)[1]
-        return program_blocks(robot_program, path_of(cell).target, run, *layout)
-    return None
+        _, layout, parts, _ = drafted(cell, run, robot_program.motion)
+        return program_blocks(robot_program, path_of(cell).target, run, *layout), parts
+    return None, [(0, len(run) - 1)]
 
 
 def _of_pass(

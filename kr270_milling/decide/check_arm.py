@@ -66,11 +66,14 @@ def arm_violations(placed: PlacedArm, limits: Limits, run: Trajectory) -> tuple[
     return results + rates, joints
 
 
-def end_violations(cell: Cell, run: Trajectory) -> list[Finding]:
-    """The findings about approach and retract of the robot program, beside a trajectory that the arm can follow."""
+def end_violations(cell: Cell, run: Trajectory, parts: Sequence[tuple[int, int]] = ((0, -1),)) -> list[Finding]:
+    """The findings about approach and retract of a robot program along a trajectory that the arm can follow.
+
+    parts: first and last knot of each part of the program, which have these moves each.
+    """
     placed, safe, spacing = arm_of(cell), float(cell.stock.max[2]) + cell.krl.safe_height, 5e-3  # [m]
     joints, findings = placed.joints(run), []
-    for knot, name in ((0, "approach"), (-1, "retract")):
+    for knot, name in [*((first, "approach") for first, _ in parts), *((last, "retract") for _, last in parts)]:
         place, axis = run.position[knot], tool_axis(run.quaternion[knot])
         rise = float(np.linalg.norm(lifted(place, axis, safe) - place))
         if rise < 1e-6:
@@ -84,7 +87,7 @@ def end_violations(cell: Cell, run: Trajectory) -> list[Finding]:
             results += link_contacts(arm, cell.tool.stick_out, cell.workpiece, cell.stock, lift)
         for finding in results:
             words = re.sub(r" (at|between|\() ?points? [\d toand]*\d\)?", "", finding.sentence)
-            where = dataclasses.replace(finding.where, point=len(run) if knot else 1)
+            where = dataclasses.replace(finding.where, point=knot % len(run) + 1)
             sentence = f"{name} of the robot program: {words}"
             findings.append(dataclasses.replace(finding, sentence=sentence, where=where))
     return findings

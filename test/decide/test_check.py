@@ -30,6 +30,7 @@ from kr270_milling.decide.check_arm import (
 )
 from kr270_milling.decide.check_cut import HOLLOW, INSERT_RAMP, core_radius, engagement, rapid_violations
 from kr270_milling.decide.findings import violations
+from kr270_milling.decide.programs.written import drafted
 from kr270_milling.path.trajectory import TOOL_DOWN, Trajectory
 from kr270_milling.physics.robot import pose
 
@@ -96,6 +97,17 @@ def test_approach_and_retract_are_judged_as_the_path_and_named_at_its_ends(heigh
         if np.abs(joints[:, 4]).min() < math.radians(3.0):  # A5 passes through zero
             expected |= {"singularity", "configuration flip"}
     assert kinds == expected and bool(expected) == (height > 50)
+
+
+def test_each_part_of_a_robot_program_has_an_approach_and_a_retract(tmp_path):
+    rows = "G21 G90 S8000 M3\nG0 X-14 Y2 Z2\n" + "G0 Z-0.5\nG1 X26 F2000\nG0 Z2\nG0 X-14\n" * 8 + "M30\n"
+    settings = "program.memory_mb=0.01", "program.tolerance_um=0", "cutting.detail=engagement"
+    cell = small_part(tmp_path, rows, *settings, "program.safe_height_mm=800")
+    checked = check(cell)
+    parts = drafted(cell, path_of(cell).target, cell.krl.motion)[2]
+    assert len(parts) > 2
+    (flip,) = (finding for finding in checked.findings if finding.what == "configuration flip")
+    assert flip.count == 2 * len(parts)
 
 
 def test_a_retract_out_of_reach_or_into_a_fixture_is_found():

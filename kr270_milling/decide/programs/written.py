@@ -32,8 +32,8 @@ MOTION = re.compile(r"(SPL|LIN|CIRC)(?: \{(X [^}]*)\},| )\{(X [^}]*)\}( C_DIS)?(
 START = re.compile(r"DECL FRAME XP\d+=\{(.*)\}")
 
 
-def drafted(cell: Cell, planned: Trajectory, motion: str) -> tuple[dict[str, list[str]], tuple, Trajectory]:
-    """Return lines and layout of the program of a planned reference, see ``program_files``, and what it commands.
+def drafted(cell: Cell, planned: Trajectory, motion: str) -> tuple[dict[str, list[str]], tuple, list, Trajectory]:
+    """Return lines, layout and parts of the program of a planned reference, see ``program_files``; what it commands.
 
     The frames are those of the workpiece, so that the program has the points of the reference.
     """
@@ -48,14 +48,13 @@ def drafted(cell: Cell, planned: Trajectory, motion: str) -> tuple[dict[str, lis
     setup = krl.Setup(nowhere, nowhere, lambda *_: start, float(cell.stock.max[2]), acceleration=law[0], jerk=law[1])
     program, count = cell.krl.replace(motion=motion, name="WRITTEN"), len(planned)
     notes, feeds = notes_of(path, count), knot_feeds(path, count)
-    files, layout, _ = krl.program_files(program, setup, target, commanded, notes, feeds)
-    return files, layout, commanded
+    return *krl.program_files(program, setup, target, commanded, notes, feeds), commanded
 
 
 @functools.lru_cache(maxsize=1)  # the pass of the program and the simulated robots run the same
 def written_trajectory(cell: Cell, planned: Trajectory, motion: str) -> Trajectory:
     """Draft the program of a planned reference, read its points back, and join them as the controller does."""
-    files, (k, _, _), commanded = drafted(cell, planned, motion)
+    files, (k, _, _), _, commanded = drafted(cell, planned, motion)
     with tempfile.TemporaryDirectory() as folder:
         write_files({Path(folder, name): (line + "\n" for line in lines) for name, lines in files.items()})
         pose, stops, auxiliary = read_krl(folder, "WRITTEN_CMP")
