@@ -200,13 +200,11 @@ def check(
         with ThreadPoolExecutor(1 if ran is None else 2) as pool:  # on another core than the pass
             contacts, statement = pool.submit(path_contacts, cell, run), pool.submit(stability_statement, cell)
             links = pool.submit(link_contacts, arm_of(cell), cell.tool.stick_out, cell.workpiece, cell.stock, run)
-            size = pool.submit(_blocks, cell, run, robot_program)
+            size = pool.submit(_of_program, cell, run, robot_program)
             ran, cut = _cut(cell, run, ran, contacts, progress)
-            results += [*links.result(), *cut]
-            about["blocks"], parts = size.result()
-            results += end_violations(cell, run, parts)
+            about["ran"], (about["blocks"], ends) = ran, size.result()
+            results += [*links.result(), *cut, *ends]
             joints_at_knots.cache_clear()
-            about["ran"] = ran
             if robot_program.motion == "LIN" and not robot_program.blend_distance and about["blocks"]:
                 results.append(violation("no blending", about["blocks"].points, int(path.target.standing.sum())))
             about["rapid_moves"] = tuple(placed(path, run, f) for f in cut if f.what == "rapid in material")
@@ -221,15 +219,16 @@ def check(
     return Checked(gathered(path, run, results), len(run), program, **about)
 
 
-def _blocks(cell: Cell, run: Trajectory, robot_program: Program) -> tuple[ProgramBlocks | None, list[tuple[int, int]]]:
-    """Return the size of the blocks of the program as ``compensate`` writes it, None where no program holds it; parts.
+def _of_program(cell: Cell, run: Trajectory, robot_program: Program) -> tuple[ProgramBlocks | None, list[Finding]]:
+    """Return the size of the blocks of the program as ``compensate`` writes it, None where no program holds it.
 
-    A part is its first and its last knot.
+    With the findings about approach and retract of its parts.
     """
     with contextlib.suppress(TrajectoryError):
         _, layout, parts, _ = drafted(cell, run, robot_program.motion)
-        return program_blocks(robot_program, path_of(cell).target, run, *layout), parts
-    return None, [(0, len(run) - 1)]
+        size = program_blocks(robot_program, path_of(cell).target, run, *layout)
+        return size, end_violations(cell, run, parts)
+    return None, end_violations(cell, run, [(0, len(run) - 1)])
 
 
 def _of_pass(

@@ -66,7 +66,7 @@ def arm_violations(placed: PlacedArm, limits: Limits, run: Trajectory) -> tuple[
     return results + rates, joints
 
 
-def end_violations(cell: Cell, run: Trajectory, parts: Sequence[tuple[int, int]] = ((0, -1),)) -> list[Finding]:
+def end_violations(cell: Cell, run: Trajectory, parts: Sequence[tuple[int, int]]) -> list[Finding]:
     """The findings about approach and retract of a robot program along a trajectory that the arm can follow.
 
     parts: first and last knot of each part of the program, which have these moves each.
@@ -87,7 +87,7 @@ def end_violations(cell: Cell, run: Trajectory, parts: Sequence[tuple[int, int]]
             results += link_contacts(arm, cell.tool.stick_out, cell.workpiece, cell.stock, lift)
         for finding in results:
             words = re.sub(r" (at|between|\() ?points? [\d toand]*\d\)?", "", finding.sentence)
-            where = dataclasses.replace(finding.where, point=knot % len(run) + 1)
+            where = dataclasses.replace(finding.where, point=knot + 1)
             sentence = f"{name} of the robot program: {words}"
             findings.append(dataclasses.replace(finding, sentence=sentence, where=where))
     return findings

@@ -78,7 +78,7 @@ def test_out_of_reach_names_all_points_that_are(cell):
 def ends_at(height: float, *more: str):
     cell = read_cell(find_file("paper.yaml"), [f"program.safe_height_mm={height}", *more])
     run = path_of(cell).target
-    findings, names = end_violations(cell, run), {1: "approach", len(run): "retract"}
+    findings, names = end_violations(cell, run, [(0, len(run) - 1)]), {1: "approach", len(run): "retract"}
     for finding in findings:
         assert finding.sentence.startswith(f"{names[finding.where.point]} of the robot program: ")
         assert "point" not in finding.sentence

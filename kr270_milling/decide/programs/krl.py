@@ -132,9 +132,11 @@ def program_files(
         raise TrajectoryError(f"program.line_limit of {program.line_limit} lines has no room beside the heading")
     fitting: float = math.inf
     parts: list[tuple[int, int]] = []
+    known: np.ndarray | None = None
     while True:
         if not parts:
-            points, auxiliary = program_points(program, original, revised, fixed | stops, stops)
+            points, auxiliary = program_points(program, original, revised, fixed | stops, stops, known)
+            known = points
             comments, rests = point_comments(points, notes, auxiliary), stops[points]
             above = np.all([run.position[points, 2] >= setup.top for run in runs.values()], axis=0)
             parts = parts_of(len(points), original.standing[points] & above, fitting)
@@ -148,13 +150,15 @@ def program_files(
         ends = [(int(points[start - 1]), int(points[end - 1])) for start, end in parts]
         files: dict[str, list[str]] = {}
         size = 0
+        moves: list[list[list[str]]] = []
         for kind, run in runs.items():
-            rows, speed = _rows(run)[points], point_speeds(program, run, points, auxiliary, feeds)
-            of_points = rows, speed, rests, auxiliary
-            moves = [
-                [motion_lines(program, comments[a:b], *(row[a:b] for row in of_points)) for a, b in own]
-                for own in modules
-            ]
+            if run is not original or not moves:  # where nothing is revised, both programs have the same motions
+                rows, speed = _rows(run, points), point_speeds(program, run, points, auxiliary, feeds)
+                of_points = rows, speed, rests, auxiliary
+                moves = [
+                    [motion_lines(program, comments[a:b], *(row[a:b] for row in of_points)) for a, b in own]
+                    for own in modules
+                ]
             for part in _sources(program, setup, kind, run, moves, ends):
                 size = max(size, sum(len(line) + 2 for lines in part.values() for line in lines))
                 files |= part
@@ -190,14 +194,14 @@ def _sources(
         yield source(name, [f"{name}_P{n}( )" for n in range(1, len(moves) + 1)])
 
 
-def _rows(run: Trajectory) -> np.ndarray:
-    """X, Y, Z [mm], A, B, C [deg] of the knots, (n, 6)."""
-    return frame_row(Pose(run.position, rotation_from_quaternion(run.quaternion)))
+def _rows(run: Trajectory, knots: Sequence[int] | np.ndarray) -> np.ndarray:
+    """X, Y, Z [mm], A, B, C [deg] of p knots, (p, 6)."""
+    return frame_row(Pose(run.position[knots], rotation_from_quaternion(run.quaternion[knots])))
 
 
 def _places(program: Program, setup: Setup, run: Trajectory, first: int, last: int) -> list[str]:
     """Home, approach, first point and retract of a part of a trajectory from one knot to another."""
-    start, retract = _rows(run)[[first, last]]
+    start, retract = _rows(run, [first, last])
     axis = tool_axis(run.quaternion[last])
     retract[:3] = 1e3 * lifted(run.position[last], axis, setup.top + program.safe_height)
     position, status, turn = setup.approach(run, first)
