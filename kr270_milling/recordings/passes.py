@@ -260,6 +260,8 @@ def read_graph(
     own = [
         state for state in joints if set(joint_names) <= set(state.names) and len(state.names) == len(state.position)
     ]
+    unreadable = len(joints) - sum(bool(np.isfinite(state.position).all()) for state in own)
+    graph.refused["joint_states"] = graph.refused.get("joint_states", 0) + unreadable
     if own:  # by name: a gripper may publish on the same topic
         table = np.array([[state.position[state.names.index(name)] for name in joint_names] for state in own])
         recorded["joint_states"] = TopicSeries(np.array([state.stamp for state in own], np.int64), table)

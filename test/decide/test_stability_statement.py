@@ -175,6 +175,12 @@ def test_vibration_of_the_arm_grows_in_the_pass_above_the_limit_and_a_short_pass
     straight = cell_of(2.0 * lobe.depth_limit, (*SOFT, "tool.pitch_deg=[85,95,85,95]"))
     checked = check(straight)  # the only statement about a variable pitch
     assert checked.stability.word == "unknown" and checked.residue.word == "grows" and not checked.may_be_run
+    thin = {"path.feed_rate_m_per_min": 0.1, "stock.grid_step_um": 10, "path.length_mm": 6}
+    rest = [setting for setting in SOFT if setting.partition("=")[0] not in thin]
+    for share, word in ((0.5, "repeats"), (2.5, "grows")):  # a short slot, 31 um a tooth
+        settings = *rest, *(f"{key}={value}" for key, value in thin.items()), "tool.pitch_deg=[80,95,87,98]"
+        short = cell_of(share * lobe.depth_limit, settings)
+        assert residue_of(short, simulate(short).result).word == word
     cell = read_cell(find_file("paper.yaml"))
     whole = simulate(cell).result
     assert residue_of(cell, whole).word == "repeats"

@@ -248,6 +248,16 @@ def test_a_message_of_the_nodes_that_cannot_be_read_is_no_identical_one(tmp_path
     assert f"/: 1 messages on /{topic} could not be read" in result.sentences
 
 
+@pytest.mark.parametrize("change", [{"names": ("j1", "j2", "j3", "j4", "j5", "j6")}, {"position": np.full(6, np.nan)}])
+def test_joint_states_of_other_names_or_of_no_numbers_make_a_recompute_incomplete(tmp_path, change):
+    messages = list(one_pass())
+    at = [i for i, m in enumerate(messages) if m.topic == "joint_states"][7]
+    state = from_bytes("sensor_msgs/msg/JointState", messages[at].data)
+    messages[at] = made.Message("joint_states", to_bytes(dataclasses.replace(state, **change)), messages[at].stamp)
+    result = recomputed(tmp_path / "r", messages)
+    assert result.verdict == "incomplete" and result.channels["/joint_states"].not_compared == 1, result.channels
+
+
 # --- Deflections that are published less often than every exchange: nothing is lost by it ---
 
 
