@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
 FEED = 1200.0  #: [mm/min]
 SIZE = 120.0  #: [mm], length of a row
 HEIGHT, WAVE = 4.0, 50.0  #: [mm], of the surface
@@ -33,3 +35,15 @@ def program(rows: int, points: int, tilted: bool = True, step: float = 0.5) -> s
             else:
                 lines.append(f"X{x:.4f} Y{y:.4f} Z{z:.4f}{angles}")
     return "\n".join([*lines, "G0 Z20.", "G49", "M5", "M30", "%", ""])
+
+
+def row(y: float, points: int, step: float) -> tuple[np.ndarray, np.ndarray]:
+    """Tips (n, 3) [m] and axes (n, 3) of a row of ``program`` at y [mm], a step [m] apart."""
+    x = SIZE * np.linspace(-0.5, 0.5, points)
+    heights = np.array([surface(place, y) for place in x])
+    tips, normals = np.column_stack([x, 0 * x + y, heights[:, 0]]), np.column_stack([-heights[:, 1:], 0 * x + 1.0])
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    way = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(tips, axis=0), axis=1)))
+    at = np.arange(0.0, way[-1], 1e3 * step)
+    tips, axes = (np.column_stack([np.interp(at, way, column) for column in rows.T]) for rows in (tips, normals))
+    return 1e-3 * tips, axes / np.linalg.norm(axes, axis=1, keepdims=True)

@@ -24,6 +24,7 @@ from samples.tilted_cuts import (
     ramp_error,
     swept_widths,
 )
+from samples.wavy import row
 from scipy.spatial.transform import Rotation
 
 from kr270_milling.physics.cutting import EngagementCut, Stock
@@ -215,3 +216,15 @@ def test_the_floor_of_a_leaning_tool_is_that_of_the_geometry(name, step):
     assert beyond.max() < cut.params.level_step
     # where the floor begins, a node has the mean depth of its cell: an eighth of the fall over the cell
     assert beyond.min() > -0.125e-4 * sine / cosine
+
+
+@pytest.mark.parametrize(
+    ("y", "step"), [(-2.25, 1095), (2.25, 1095), (4.75, 1440), (-7.25, 175), (2.75, 522), (3.75, 493)]
+)
+def test_a_nearly_empty_bin_has_no_force_beyond_that_of_its_neighbours(y, step):
+    """Steps along the normal of a surface: volume beside d.n = 0 had up to 70 m of edge and 1 MN."""
+    tips, axes = (values[step - 10 : step + 2] for values in row(y, 250, 8e-5))
+    stock = Stock(min=np.array([-0.07, -0.02, -0.015]), max=np.array([0.07, 0.02, 0.0]), grid_step=1e-4)
+    cut = EngagementCut(TOOLS["ball"], EDGE, stock, MICRO_STEP, tilts=True, upright=False)
+    force = np.linalg.norm(cut.along(tips, 216 * np.arange(12), axes=axes)[0][:, :3], axis=1)
+    assert force[-2:].max() < 1.5 * force[-3]
