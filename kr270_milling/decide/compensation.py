@@ -121,8 +121,6 @@ def _compensated(
 ) -> Compensated:
     """See ``compensate``; beside: a thread for what does not wait for the learning."""
     target = path_of(cell).target
-    if long_pass(path_of(cell)):
-        return_memory()
     rigid = beside.submit(rigid_part, cell)
     with progress("original") as report:
         original = simulate(cell, progress=report, plant=plant)
@@ -164,6 +162,7 @@ def _compensated(
         plan = replace(planned, result=None)  # type: ignore[arg-type]
     by.first = None
     del original, planned
+    return_memory()
     with progress("surfaces"):
         gauge = rigid.result()[0]
         parts = () if path_of(cell).straight else assess_all(cell, (programmed, revised), gauge)

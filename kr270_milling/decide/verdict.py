@@ -12,6 +12,7 @@ from typing import TypeVar
 
 import numpy as np
 
+from kr270_milling.base.blocks import return_memory
 from kr270_milling.base.column import column, computed
 from kr270_milling.base.errors import MillingError, ParameterError
 from kr270_milling.cell.cell import Cell
@@ -202,6 +203,7 @@ def each_robot(
 ) -> list[Row]:
     """Draw robots and return the result of a job for each, in the order of drawing; count(done): after each robot."""
     rng, rows = np.random.default_rng(seed), []
+    return_memory()
     drawn, threads = [perturbed(nominal, rng) for _ in range(robots)], at_once(path_of(nominal))
     pool = ThreadPoolExecutor(threads)
     try:  # one after the other in this thread, which uses the memory again that earlier passes gave back
