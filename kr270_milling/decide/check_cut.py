@@ -544,6 +544,7 @@ def rapid_violations(run: Trajectory, met: Engagement) -> list[Finding]:
     """
     contacts, points = [], _points(run, met)
     length = np.linalg.norm(np.diff(met.position, axis=0, prepend=met.position[:1]), axis=1)
+    length[0] = met.inner[0]  # the approach of the robot program, from above
     contact = met.inner > met.margin
     blocks = np.unique(met.block[contact])
     at_rim = ~np.isin(met.block, blocks)

@@ -28,7 +28,7 @@ from kr270_milling.decide.check_arm import (
     correction_size,
     end_violations,
 )
-from kr270_milling.decide.check_cut import HOLLOW, INSERT_RAMP, core_radius, engagement, rapid_violations
+from kr270_milling.decide.check_cut import HOLLOW, INSERT_RAMP, core_radius, engagement, path_contacts, rapid_violations
 from kr270_milling.decide.findings import violations
 from kr270_milling.decide.programs.written import drafted
 from kr270_milling.path.trajectory import TOOL_DOWN, Trajectory
@@ -97,6 +97,14 @@ def test_approach_and_retract_are_judged_as_the_path_and_named_at_its_ends(heigh
         if np.abs(joints[:, 4]).min() < math.radians(3.0):  # A5 passes through zero
             expected |= {"singularity", "configuration flip"}
     assert kinds == expected and bool(expected) == (height > 50)
+
+
+def test_an_approach_into_material_is_as_long_as_the_first_point_is_deep(tmp_path):
+    cell = small_part(
+        tmp_path, "G21 G90 S8000 M3\nG0 X10 Y10 Z-0.5\nG1 X20 F1000\nG0 Z5\nM30\n", "cutting.detail=engagement"
+    )
+    (finding,) = path_contacts(cell, path_of(cell).target)[0]
+    assert finding.where.point == 1 and finding.amounts["length_mm"] == pytest.approx(0.5) == finding.value
 
 
 def test_each_part_of_a_robot_program_has_an_approach_and_a_retract(tmp_path):
