@@ -175,7 +175,8 @@ def _meet_tilted(
     depth, inner, volume, sunk, shank, holder = met
     tool, top, stock = cell.tool, float(cell.stock.max[2]), _coarse(cell)
     # a map for any axis of the tool, whether its teeth are swept, or lean in rapid moves alone
-    cut = EngagementCut(tool, cell.cutting, stock, cell.exchange.micro_step, tilts=True)
+    common = tool, cell.cutting, stock, cell.exchange.micro_step
+    cut = EngagementCut(*common, tilts=True, upright=path_of(cell).upright)  # compiled as for the pass
     if cell.earlier:
         cut.continue_from(cleared(cell.earlier, stock, False))
     cutter, position, axes = cutter_of(tool), poses[:, :3], poses[:, 3:]
