@@ -383,6 +383,7 @@ def test_the_plants_of_a_tool_path_are_measured_by_the_walls_and_floors_of_their
 def test_robots_that_began_beside_other_work_give_the_verdict_that_all_give_in_turn(tmp_path, monkeypatch):
     """Also where the part of the rigid arm is that of the full exchange, and two of three robots wait for a thread."""
     monkeypatch.setattr("kr270_milling.cell.plant.MANY", 100)
+    monkeypatch.setattr("kr270_milling.cell.jobs.FEW_PERIODS", 100)
     cell = small_part(tmp_path, GCODE, "cutting.detail=engagement", "part.wall_tolerance_um=30")
     target = path_of(cell).target
     moved = target.with_position(target.position + [0.0, 10 * UM, 0.0])
