@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
-from collections.abc import Callable, Iterable
+import math
+import re
+from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any
@@ -13,6 +15,7 @@ import numpy as np
 
 from kr270_milling.base.column import column, computed, counted
 from kr270_milling.base.errors import InputError
+from kr270_milling.base.frames import lifted, tool_axis
 from kr270_milling.cell.arm import joints_at_knots
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import ScoredPass, simulate
@@ -24,7 +27,6 @@ from kr270_milling.decide.check_arm import (
     corner_blending,
     correction_per_tick,
     correction_size,
-    end_violations,
     link_contacts,
     load_reversals,
 )
@@ -229,6 +231,33 @@ def _of_program(cell: Cell, run: Trajectory, robot_program: Program) -> tuple[Pr
         size = program_blocks(robot_program, path_of(cell).target, run, *layout)
         return size, end_violations(cell, run, parts)
     return None, end_violations(cell, run, [(0, len(run) - 1)])
+
+
+def end_violations(cell: Cell, run: Trajectory, parts: Sequence[tuple[int, int]]) -> list[Finding]:
+    """The findings about approach and retract of a robot program along a trajectory that the arm can follow.
+
+    parts: first and last knot of each part of the program, which have these moves each.
+    """
+    arm, safe, spacing = arm_of(cell), float(cell.stock.max[2]) + cell.krl.safe_height, 5e-3  # [m]
+    joints, findings = arm.joints(run), []
+    for knot, name in [*((first, "approach") for first, _ in parts), *((last, "retract") for _, last in parts)]:
+        place, axis = run.position[knot], tool_axis(run.quaternion[knot])
+        rise = float(np.linalg.norm(lifted(place, axis, safe) - place))
+        if rise < 1e-6:
+            continue
+        way = np.linspace(0.0, rise, 3 + math.ceil(rise / spacing))[1:]
+        time_ns = np.rint(1e9 * (way - way[0]) / max(cell.krl.approach_feed, 1e-3)).astype(np.int64)
+        lift = Trajectory(time_ns, place + way[:, None] * axis, np.tile(run.quaternion[knot], (len(way), 1)))
+        there = dataclasses.replace(arm, near=tuple(joints[knot]))
+        results, reached = arm_violations(there, cell.limits, lift)
+        if reached is not None and not any(finding.what == "joint limit" for finding in results):
+            results += link_contacts(there, cell.tool.stick_out, cell.workpiece, cell.stock, lift)
+        for finding in results:
+            words = re.sub(r" (at|between|\() ?points? [\d toand]*\d\)?", "", finding.sentence)
+            where = dataclasses.replace(finding.where, point=knot + 1)
+            sentence = f"{name} of the robot program: {words}"
+            findings.append(dataclasses.replace(finding, sentence=sentence, where=where))
+    return findings
 
 
 def _of_pass(

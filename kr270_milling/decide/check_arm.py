@@ -13,17 +13,14 @@ from __future__ import annotations
 
 import dataclasses
 import math
-import re
 from collections.abc import Callable, Sequence
 
 import numpy as np
 
 from kr270_milling.base.blocks import blocks
-from kr270_milling.base.frames import Pose, lifted, rotation_from_quaternion, tool_axis
+from kr270_milling.base.frames import Pose, rotation_from_quaternion
 from kr270_milling.cell.arm import PlacedArm
-from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import ScoredPass
-from kr270_milling.cell.models import arm_of
 from kr270_milling.cell.paths import CellPath
 from kr270_milling.cell.plant import joint_gaps
 from kr270_milling.cell.sections import Limits, Workpiece
@@ -64,33 +61,6 @@ def arm_violations(placed: PlacedArm, limits: Limits, run: Trajectory) -> tuple[
     results = _joint_limits(arm, joints) + _singularities(arm, limits, joints) + _flips(arm, joints)
     rates = _joint_rates(run.time, joints, arm.joint_speed_limit, arm.joint_acceleration_limit, at_rest)
     return results + rates, joints
-
-
-def end_violations(cell: Cell, run: Trajectory, parts: Sequence[tuple[int, int]]) -> list[Finding]:
-    """The findings about approach and retract of a robot program along a trajectory that the arm can follow.
-
-    parts: first and last knot of each part of the program, which have these moves each.
-    """
-    placed, safe, spacing = arm_of(cell), float(cell.stock.max[2]) + cell.krl.safe_height, 5e-3  # [m]
-    joints, findings = placed.joints(run), []
-    for knot, name in [*((first, "approach") for first, _ in parts), *((last, "retract") for _, last in parts)]:
-        place, axis = run.position[knot], tool_axis(run.quaternion[knot])
-        rise = float(np.linalg.norm(lifted(place, axis, safe) - place))
-        if rise < 1e-6:
-            continue
-        way = np.linspace(0.0, rise, 3 + math.ceil(rise / spacing))[1:]
-        time_ns = np.rint(1e9 * (way - way[0]) / max(cell.krl.approach_feed, 1e-3)).astype(np.int64)
-        lift = Trajectory(time_ns, place + way[:, None] * axis, np.tile(run.quaternion[knot], (len(way), 1)))
-        arm = dataclasses.replace(placed, near=tuple(joints[knot]))
-        results, reached = arm_violations(arm, cell.limits, lift)
-        if reached is not None and not any(finding.what == "joint limit" for finding in results):
-            results += link_contacts(arm, cell.tool.stick_out, cell.workpiece, cell.stock, lift)
-        for finding in results:
-            words = re.sub(r" (at|between|\() ?points? [\d toand]*\d\)?", "", finding.sentence)
-            where = dataclasses.replace(finding.where, point=knot + 1)
-            sentence = f"{name} of the robot program: {words}"
-            findings.append(dataclasses.replace(finding, sentence=sentence, where=where))
-    return findings
 
 
 def _reach(placed: PlacedArm, run: Trajectory) -> list[Finding]:

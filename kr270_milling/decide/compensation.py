@@ -43,11 +43,11 @@ from kr270_milling.decide.verdict import (
     CHOOSING_SEED,
     NO_METHOD,
     SAME,
-    Begun,
     Verdict,
     alternatives,
     compare_methods,
     drawn_errors,
+    errors_as_programmed,
     monte_carlo,
 )
 from kr270_milling.path.trajectory import Trajectory
@@ -140,7 +140,7 @@ def _compensated(
     if not path_of(cell).straight:
         by.models = replace(by.models, cut=lambda path: rigid.result()[2] or cut_along(cell, path))
         beside.submit(stability_statement, cell)
-        begun = Begun.of(cell, robots, seed, rigid, beside) if robots else None
+        begun = errors_as_programmed(cell, robots, seed, rigid, beside) if robots else None
     if method != NO_METHOD:
         with progress("compensation", by.most_passes, by.method) as report:
             planned = compensated(cell, original, method, report, by, plant)
@@ -230,7 +230,7 @@ def _verdict(
     report,
     motion: str,
     gauge: Gauge,
-    begun: Begun | None,
+    begun: tuple | None,
 ) -> Verdict:
     """Return the verdict of simulated robots.
 

@@ -216,30 +216,27 @@ def each_robot(
     return rows
 
 
-@dataclass(frozen=True, eq=False)
-class Begun:
-    """Errors of drawn robots along the programmed path, computed by a thread beside other work."""
+def errors_as_programmed(
+    cell: Cell, robots: int, seed: int, part: Future[tuple], pool: Executor
+) -> tuple[Cell, Future[Gauge], list[Future[tuple[float, float]]]]:
+    """Begin with the robots of ``monte_carlo`` along the programmed path, beside other work.
 
-    nominal: Cell  #: from which they are drawn
-    gauge: Future[Gauge]
-    errors: list[Future[tuple[float, float]]]  #: error [m] and share of the tolerance
+    Return the cell from which they are drawn, its gauge, and for each robot error [m] and share of the tolerance. part:
+    of ``rigid_part``.
+    """
+    nominal, target, rng = coarser(cell), path_of(cell).target, np.random.default_rng(seed)
 
-    @classmethod
-    def of(cls, cell: Cell, robots: int, seed: int, part: Future[tuple], pool: Executor) -> Begun:
-        """Draw the robots of ``monte_carlo``; part: of ``rigid_part``."""
-        nominal, target, rng = coarser(cell), path_of(cell).target, np.random.default_rng(seed)
+    def judging() -> Gauge:
+        gauge, cut, _ = part.result()
+        alike = nominal.stock is cell.stock and long_pass(path_of(cell))  # errors differ by 0.4 um
+        return gauge if nominal is cell else gauge_of(nominal, cut if alike else None)
 
-        def judging() -> Gauge:
-            gauge, cut, _ = part.result()
-            alike = nominal.stock is cell.stock and long_pass(path_of(cell))  # errors differ by 0.4 um
-            return gauge if nominal is cell else gauge_of(nominal, cut if alike else None)
+    def errors(plant: Cell) -> tuple[float, float]:
+        model = arm_model_of(plant, target)
+        return _errors(plant, model, target, target, 0, gauge.result(), nominal is not cell)
 
-        def errors(plant: Cell) -> tuple[float, float]:
-            model = arm_model_of(plant, target)
-            return _errors(plant, model, target, target, 0, gauge.result(), nominal is not cell)
-
-        gauge = pool.submit(judging)
-        return cls(nominal, gauge, [pool.submit(errors, perturbed(nominal, rng)) for _ in range(robots)])
+    gauge = pool.submit(judging)
+    return nominal, gauge, [pool.submit(errors, perturbed(nominal, rng)) for _ in range(robots)]
 
 
 def _tracked(cell: Cell, plant: Cell, gauge: Gauge) -> float:
@@ -262,7 +259,7 @@ def monte_carlo(
     method: str = "compensated",
     others: dict[str, Trajectory] | None = None,
     gauge: Gauge | None = None,
-    begun: Begun | None = None,
+    begun: tuple[Cell, Future[Gauge], list[Future]] | None = None,
 ) -> Verdict:
     """Run ``samples`` plants drawn from ``cell.uncertainty`` along the cell's target and along the revised trajectory.
 
@@ -270,8 +267,7 @@ def monte_carlo(
     method: the name of the revised trajectory; others: trajectories of other methods, to recommend one: the first 8
     plants run them, of a straight cut all, whose first 8 also learn from their own passes. The numbers do not depend on
     the number of threads. Along a tool path the passes are quick (``coarser``). Where the errors of ``CHECKED`` robots
-    differ from those of full passes by more than ``NEAR``, all passes are full. begun: errors of the first robots along
-    the target, which are computed already or just now.
+    differ from those of full passes by more than ``NEAR``, all passes are full. begun: of ``errors_as_programmed``.
     """
     if not (hasattr(samples, "__index__") and samples >= 1):
         raise ParameterError("samples", samples, "a whole number of at least 1")
@@ -291,9 +287,9 @@ def monte_carlo(
     def drawn(nominal: Cell) -> list[tuple[np.ndarray, float | None]]:
         same = nominal.stock is cell.stock and nominal.exchange is cell.exchange  # maps and stamps
         known: dict[int, Future] = {}
-        if begun and nominal is begun.nominal:
-            gauge = begun.gauge.result()
-            known = {k: errors for k, errors in enumerate(begun.errors) if not errors.cancel()}
+        if begun and nominal is begun[0]:
+            gauge = begun[1].result()
+            known = {k: errors for k, errors in enumerate(begun[2]) if not errors.cancel()}
         else:
             gauge = full_gauge if same else gauge_of(nominal)
 
@@ -304,7 +300,7 @@ def monte_carlo(
 
         return each_robot(nominal, samples, seed, run, count)
 
-    quick, difference = begun.nominal if begun else coarser(cell), None
+    quick, difference = begun[0] if begun else coarser(cell), None
     robots = drawn(quick)
     rows = np.stack([row[:2] for row, _ in robots])
     if quick is not cell:

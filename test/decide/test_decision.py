@@ -28,12 +28,12 @@ from kr270_milling.decide.verdict import (
     NO_METHOD,
     TRACKED,
     UNTRUSTED,
-    Begun,
     MethodComparison,
     Verdict,
     alternatives,
     coarser,
     compare_methods,
+    errors_as_programmed,
     judge_plants,
     monte_carlo,
     run_sample,
@@ -389,15 +389,15 @@ def test_robots_that_began_beside_other_work_give_the_verdict_that_all_give_in_t
     moved = target.with_position(target.position + [0.0, 10 * UM, 0.0])
     plain = monte_carlo(cell, moved, 3, 1)
     with ThreadPoolExecutor(1) as pool:
-        begun = Begun.of(cell, 3, 1, pool.submit(rigid_part, cell), pool)
-        begun.errors[0].result()
+        begun = errors_as_programmed(cell, 3, 1, pool.submit(rigid_part, cell), pool)
+        begun[2][0].result()
         verdict = monte_carlo(cell, moved, 3, 1, begun=begun)
-    assert begun.nominal.exchange is not cell.exchange
+    assert begun[0].exchange is not cell.exchange
     np.testing.assert_allclose(verdict.original, plain.original, atol=0.1 * UM)
     np.testing.assert_allclose(verdict.compensated, plain.compensated, atol=0.1 * UM)
     with ThreadPoolExecutor(1) as pool:  # without the exchange of a long program all bits are the same
         monkeypatch.undo()
-        begun = Begun.of(cell, 3, 1, pool.submit(rigid_part, cell), pool)
+        begun = errors_as_programmed(cell, 3, 1, pool.submit(rigid_part, cell), pool)
         again, plain = monte_carlo(cell, moved, 3, 1, begun=begun), monte_carlo(cell, moved, 3, 1)
     assert np.array_equal(again.original, plain.original) and np.array_equal(again.compensated, plain.compensated)
 
