@@ -76,7 +76,7 @@ def read_back(path: Path, expected: PassResult, struck_ns: int, started_ns: int)
         stamps = expected.time_ns + next((stamp_of(message.data) or 0 for message in references), 0)
         same, short, started, ended = True, 0, False, True
         for topic, values in values_of.items():
-            at, actual = series(recording, topic)
+            at, actual, _ = series(recording, topic)
             due = stamps[:: every if topic == "/deflection" else 1]
             started |= at.size > 0 and topic != "/deflection"
             ended &= bool(at.size and at[-1] == due[-1])

@@ -281,7 +281,7 @@ def test_the_command_answers_a_controller_and_its_recording_is_reported(tmp_path
     answer = json.loads(capsys.readouterr().out)
     assert (answer["answered"], answer["path_share"]) == (len(points), 1.0)
     with Recording(tmp_path / "rsi") as recording:
-        stamp, values = series(recording, "/correction")
+        stamp, values, _ = series(recording, "/correction")
         np.testing.assert_array_equal(stamp, 4_000_000 * np.arange(len(points)))
         np.testing.assert_allclose(values[10:, :3], np.tile(shift, (len(points) - 10, 1)), atol=1e-6)
         assert recording.topics()["/tool_pose"].count == len(stamp)
