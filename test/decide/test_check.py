@@ -20,13 +20,12 @@ from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.cell_file import read_cell
 from kr270_milling.cell.jobs import simulate
 from kr270_milling.cell.models import arm_of, path_of
-from kr270_milling.decide.check import check
+from kr270_milling.decide.check import check, end_violations
 from kr270_milling.decide.check_arm import (
     arm_violations,
     corner_blending,
     correction_per_tick,
     correction_size,
-    end_violations,
 )
 from kr270_milling.decide.check_cut import HOLLOW, INSERT_RAMP, core_radius, engagement, path_contacts, rapid_violations
 from kr270_milling.decide.findings import violations

@@ -77,8 +77,8 @@ def test_the_end_edges_of_a_ramp_have_their_force_at_every_step(tilt, slope):
 def test_the_error_falls_with_the_fourth_power_of_the_width_of_a_bin_and_does_not_depend_on_the_step():
     """A slot: 10.6 and 0.67 % with 6 and 12 bins, 0.06 to 0.09 % from 18 on; 0.07 to 0.12 % with steps of 2 to 32 ms.
 
-    The force of two places in a bin is exact for what changes as a cubic within it. From 18 bins on, the error is that of
-    the pieces of 5 deg along the edge. The quadrature is within 0.02 %.
+    The force of two places in a bin is exact for what changes as a cubic within it. From 18 bins on, the error is that
+    of the pieces of 5 deg along the edge. The quadrature is within 0.02 %.
     """
     slot = TOOLS["ball"], SHARP, ALONG["lead 15"], (-9e-3, 9e-3)
     coarse, fine = (error(*slot, bins=bins) for bins in (6, 12))
