@@ -199,7 +199,7 @@ def check(
         straight = run.velocity is None and path.target.velocity is not None
         robot_program = cell.krl.replace(motion=motion or ("LIN" if straight else cell.krl.motion))
         results += _correction(cell, path.target, run, robot_program)
-        with ThreadPoolExecutor(1 if ran is None else 2) as pool:  # on another core than the pass
+        with ThreadPoolExecutor(2) as pool:  # beside the pass
             contacts, statement = pool.submit(path_contacts, cell, run), pool.submit(stability_statement, cell)
             links = pool.submit(link_contacts, arm_of(cell), cell.tool.stick_out, cell.workpiece, cell.stock, run)
             size = pool.submit(_of_program, cell, run, robot_program)
