@@ -132,7 +132,7 @@ def _compensated(
     by = compensator(cell, target, None if method == NO_METHOD else method)
     motions = tuple(motions) or (cell.krl.motion if by.chosen.smooth else "LIN",)
     motion = "LIN" if "LIN" in motions else motions[0]  # LIN motions are blended
-    planned, begun = original, None
+    planned, started = original, None
     if not plant:
         if long_pass(path_of(cell)):  # the series fill 200 MB an hour, and the record 70 MB of them
             original = replace(original, result=None, record=record_of(cell, original))  # type: ignore[arg-type]
@@ -140,7 +140,7 @@ def _compensated(
     if not path_of(cell).straight:
         by.models = replace(by.models, cut=lambda path: rigid.result()[2] or cut_along(cell, path))
         beside.submit(stability_statement, cell)
-        begun = errors_as_programmed(cell, robots, seed, rigid, beside) if robots else None
+        started = errors_as_programmed(cell, robots, seed, rigid, beside) if robots else None
     if method != NO_METHOD:
         with progress("compensation", by.most_passes, by.method) as report:
             planned = compensated(cell, original, method, report, by, plant)
@@ -181,7 +181,7 @@ def _compensated(
     judged: Verdict | None = None
     if robots:
         with progress("verdict") as report:
-            judged = _verdict(cell, compared, revised, robots, seed, report, motion, gauge, begun)
+            judged = _verdict(cell, compared, revised, robots, seed, report, motion, gauge, started)
     before, after = map(lambda ran, part: judge(cell, ran, part), (programmed, revised), parts or (None, None))
     rows: tuple[Limit, ...] = ()
     if judged and judged.within is not None and judged.within < ENOUGH * robots and checked.may_be_run:
@@ -230,7 +230,7 @@ def _verdict(
     report,
     motion: str,
     gauge: Gauge,
-    begun: tuple | None,
+    started: tuple | None,
 ) -> Verdict:
     """Return the verdict of simulated robots.
 
@@ -243,7 +243,7 @@ def _verdict(
         with contextlib.suppress(MillingError):
             programs[name] = written_trajectory(cell, run, motion if run.velocity is not None else "LIN")
     program = written_trajectory(cell, revised.reference, motion)
-    about: dict = dict(method=revised.name, others=programs, gauge=gauge, begun=begun)
+    about: dict = dict(method=revised.name, others=programs, gauge=gauge, started=started)
     return monte_carlo(cell, program, robots, seed, progress=report, **about)
 
 

@@ -259,7 +259,7 @@ def monte_carlo(
     method: str = "compensated",
     others: dict[str, Trajectory] | None = None,
     gauge: Gauge | None = None,
-    begun: tuple[Cell, Future[Gauge], list[Future]] | None = None,
+    started: tuple[Cell, Future[Gauge], list[Future]] | None = None,
 ) -> Verdict:
     """Run ``samples`` plants drawn from ``cell.uncertainty`` along the cell's target and along the revised trajectory.
 
@@ -267,7 +267,7 @@ def monte_carlo(
     method: the name of the revised trajectory; others: trajectories of other methods, to recommend one: the first 8
     plants run them, of a straight cut all, whose first 8 also learn from their own passes. The numbers do not depend on
     the number of threads. Along a tool path the passes are quick (``coarser``). Where the errors of ``CHECKED`` robots
-    differ from those of full passes by more than ``NEAR``, all passes are full. begun: of ``errors_as_programmed``.
+    differ from those of full passes by more than ``NEAR``, all passes are full. started: of ``errors_as_programmed``.
     """
     if not (hasattr(samples, "__index__") and samples >= 1):
         raise ParameterError("samples", samples, "a whole number of at least 1")
@@ -287,9 +287,9 @@ def monte_carlo(
     def drawn(nominal: Cell) -> list[tuple[np.ndarray, float | None]]:
         same = nominal.stock is cell.stock and nominal.exchange is cell.exchange  # maps and stamps
         known: dict[int, Future] = {}
-        if begun and nominal is begun[0]:
-            gauge = begun[1].result()
-            known = {k: errors for k, errors in enumerate(begun[2]) if not errors.cancel()}
+        if started and nominal is started[0]:
+            gauge = started[1].result()
+            known = {k: errors for k, errors in enumerate(started[2]) if not errors.cancel()}
         else:
             gauge = full_gauge if same else gauge_of(nominal)
 
@@ -300,7 +300,7 @@ def monte_carlo(
 
         return each_robot(nominal, samples, seed, run, count)
 
-    quick, difference = begun[0] if begun else coarser(cell), None
+    quick, difference = started[0] if started else coarser(cell), None
     robots = drawn(quick)
     rows = np.stack([row[:2] for row, _ in robots])
     if quick is not cell:

@@ -389,16 +389,16 @@ def test_robots_that_began_beside_other_work_give_the_verdict_that_all_give_in_t
     moved = target.with_position(target.position + [0.0, 10 * UM, 0.0])
     plain = monte_carlo(cell, moved, 3, 1)
     with ThreadPoolExecutor(1) as pool:
-        begun = errors_as_programmed(cell, 3, 1, pool.submit(rigid_part, cell), pool)
-        begun[2][0].result()
-        verdict = monte_carlo(cell, moved, 3, 1, begun=begun)
-    assert begun[0].exchange is not cell.exchange
+        started = errors_as_programmed(cell, 3, 1, pool.submit(rigid_part, cell), pool)
+        started[2][0].result()
+        verdict = monte_carlo(cell, moved, 3, 1, started=started)
+    assert started[0].exchange is not cell.exchange
     np.testing.assert_allclose(verdict.original, plain.original, atol=0.1 * UM)
     np.testing.assert_allclose(verdict.compensated, plain.compensated, atol=0.1 * UM)
     with ThreadPoolExecutor(1) as pool:  # without the exchange of a long program all bits are the same
         monkeypatch.undo()
-        begun = errors_as_programmed(cell, 3, 1, pool.submit(rigid_part, cell), pool)
-        again, plain = monte_carlo(cell, moved, 3, 1, begun=begun), monte_carlo(cell, moved, 3, 1)
+        started = errors_as_programmed(cell, 3, 1, pool.submit(rigid_part, cell), pool)
+        again, plain = monte_carlo(cell, moved, 3, 1, started=started), monte_carlo(cell, moved, 3, 1)
     assert np.array_equal(again.original, plain.original) and np.array_equal(again.compensated, plain.compensated)
 
 
