@@ -26,7 +26,6 @@ from kr270_milling.physics.cutting.engagement import RIM
 from kr270_milling.physics.cutting.profile import cutter_of, cylinder, outline
 from kr270_milling.physics.cutting.tilted import FLAT
 from kr270_milling.physics.motion.milling_pass import PassResult
-from kr270_milling.physics.motion.stability import has_uniform_pitch
 
 #: sine of the slope above which a way down is a plunge: no maker allows a steeper ramp without centre cutting
 PLUNGE = math.sin(math.radians(20.0))  # [Kyocera2021]: 20 deg at 25 mm, 16, 12.5, 11, 8.5, 6 deg at 28 to 50 mm
@@ -631,7 +630,7 @@ def residue_of(cell: Cell, result: PassResult) -> Residue:
     feed_per_tooth = path_of(cell).feed_rate * period
     noise = grid_noise * cell.stock.grid_step / max(feed_per_tooth, 1e-12)
     limit, sure = max(CHATTERS, noise), max(0.2 * CHATTERS, noise)  # growth below ``sure`` may be that of the noise
-    unequal = tool.teeth if np.ptp(tool.radii) > 0.0 or not has_uniform_pitch(tool) else 0
+    unequal = tool.teeth if np.ptp(tool.radii) > 0.0 or np.ptp(tool.pitches) > 0.0 else 0
     worst, grows, seconds = (-1.0, 0.0), False, result.time  # residue, time of its place
     cuts = result.volume > 0.0
     if seconds.size > 1:  # between two teeth of a narrow cut nothing is removed

@@ -21,7 +21,7 @@ from kr270_milling.cell.paths import CellPath
 from kr270_milling.decide.arcs import Arcs, arcs_along
 from kr270_milling.decide.findings import Finding, violation
 from kr270_milling.physics.motion.dynamics import ModalModel
-from kr270_milling.physics.motion.stability import DEEPEST, Lobe, Modes, has_uniform_pitch, stability_limit
+from kr270_milling.physics.motion.stability import DEEPEST, Lobe, Modes, stability_limit
 
 FULL = math.radians(75.0)  #: beyond this angle a tooth is taken as cutting to 90 deg, where its chip ends
 FEWEST_TEETH = 10  #: teeth of an engagement; vibration has no time to grow in fewer
@@ -76,7 +76,6 @@ class Stability:
 
     features: tuple[FeatureLimit, ...] = column("features")
     with_tool: bool = column("tool_modes")  #: the modes of tool and spindle are known
-    uniform_pitch: bool = True
     shape: str = column("", default="")  #: clause about a tool that is not flat or not upright: no limit is known
 
     @property
@@ -99,10 +98,9 @@ class Stability:
     @computed("text")
     def text(self) -> str:
         """Return one line, the same in every output."""
+        known = "unknown (nothing is milled)"
         if self.worst:
             known = f"{self.word} ({self.worst.name}: {self.worst.numbers})"
-        else:
-            known = "unknown (nothing is milled)" if self.uniform_pitch else "unknown (variable pitch)"
         if self.shape:
             known = f"not judged (the limits hold for upright flat ends, and {self.shape})"
         if self.with_tool:
@@ -118,8 +116,6 @@ def stability_statement(cell: Cell) -> Stability:
         return Stability((), with_tool, shape=f"tool.type is {cell.tool.type}")
     if path_of(cell).tilts:
         return Stability((), with_tool, shape="the tool is tilted")
-    if not has_uniform_pitch(cell.tool):
-        return Stability((), with_tool, uniform_pitch=False)
     return Stability(tuple(feature_limits(cell)), with_tool)
 
 
@@ -169,14 +165,11 @@ def modes_of(cell: Cell, arm: bool = True, model: ModalModel | None = None) -> M
 
 
 def refuse_without_limit(path: CellPath) -> None:
-    """Raise ParameterError for an end that is not flat, a tilted tool and a variable pitch."""
-    tool = path.tool
-    if not tool.has_flat_end:
-        raise ParameterError("tool.type", tool.type, "flat: the limits of the depth of cut hold for flat ends")
+    """Raise ParameterError for an end that is not flat and for a tilted tool."""
+    if not path.tool.has_flat_end:
+        raise ParameterError("tool.type", path.tool.type, "flat: the limits of the depth of cut hold for flat ends")
     if path.tilts:
         raise ParameterError("path.file", path.path.file, "upright: the limits do not hold for a tilted tool")
-    if not has_uniform_pitch(tool):
-        raise ParameterError("tool.pitch_deg", np.degrees(tool.pitch).tolist(), "uniform: the limit supposes one delay")
 
 
 def feature_limits(cell: Cell, arm: bool = True) -> list[FeatureLimit]:

@@ -66,25 +66,28 @@ def multipliers(depth, delay, h, shift=None):
     return np.linalg.eigvals(transition)
 
 
-def modal_radius(modes, depth, delay, matrices):
-    """Largest magnitude of a Floquet multiplier of n modes; matrices: dF / du over an interval, its mean, (k, 3, 2).
+def modal_radius(modes, depth, period, lags, matrices):
+    """Largest magnitude of a Floquet multiplier of n modes over k intervals of a period [s].
 
-    As above, with q'' + 2 zeta w q' + w^2 q = a phi . B (u - u_tau), u = sum phi q along x and y.
+    As above, with q'' + 2 zeta w q' + w^2 q = a phi . sum B_j (u - u(t - tau_j)), u = sum phi q along x and y. lags:
+    tau_j in intervals, (teeth,); matrices: B_j over an interval, its mean, (teeth, k, 3, 2).
     """
-    k, n = len(matrices), len(modes.frequency)
-    system = np.zeros((k, 2 * n + 4, 2 * n + 4))  # q, q', delayed u, its rate
+    k, n, step = matrices.shape[1], len(modes.frequency), period / matrices.shape[1]
+    system = np.zeros((k, 4 * n, 4 * n))  # q, q', delayed term, its rate
     load = depth * modes.shape @ matrices
     system[:, :n, n : 2 * n] = np.eye(n)
-    system[:, n : 2 * n, :n] = load @ modes.shape[:, :2].T - np.diag(modes.frequency**2)
+    system[:, n : 2 * n, :n] = load.sum(0) @ modes.shape[:, :2].T - np.diag(modes.frequency**2)
     system[:, n : 2 * n, n : 2 * n] = -2 * np.diag(modes.damping_ratio * modes.frequency)
-    system[:, n : 2 * n, 2 * n : -2], system[:, 2 * n : -2, -2:] = -load, np.eye(2)
-    transition = np.eye(2 * n + 2 * k)  # q, q', u one interval ago, two, ...
+    system[:, n : 2 * n, 2 * n : 3 * n] = system[:, 2 * n : 3 * n, 3 * n :] = np.eye(n)
+    transition = np.eye(2 * n + 2 * max(lags))  # q, q', u one interval ago, two, ...
     tip = np.hstack([modes.shape[:, :2].T, np.zeros((2, n))])
-    step = delay / k
-    for exact in expm(system * step)[:, : 2 * n]:
-        ends = exact[:, -2:] / step
-        oldest, next_oldest = transition[-2:], transition[-4:-2]
-        now = exact[:, : 2 * n] @ transition[: 2 * n] + (exact[:, 2 * n : -2] - ends) @ oldest + ends @ next_oldest
+    for i, exact in enumerate(expm(system * step)[:, : 2 * n]):
+        first, last = (
+            -sum(load[j, i] @ transition[2 * (n + age - 1) : 2 * (n + age)] for j, age in enumerate(ages))
+            for ages in (lags, np.subtract(lags, 1))
+        )
+        now = exact[:, : 2 * n] @ transition[: 2 * n] + exact[:, 2 * n : 3 * n] @ first
+        now += exact[:, 3 * n :] @ (last - first) / step
         transition = np.vstack([now, tip @ transition[: 2 * n], transition[2 * n : -2]])
     return np.abs(eigs(transition, 6, v0=np.ones(len(transition)), return_eigenvectors=False)).max()
 

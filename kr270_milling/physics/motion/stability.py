@@ -5,7 +5,7 @@ with the unit vectors e (radial) and t (direction of motion) meets the dynamic c
 
     F = a f e . (u(t) - u(t - tau)),   f = -(K_r e + K_t t - K_a z)
 
-with a the depth of cut, tau the tooth period and K = dF/dh per depth at the static chip thickness. At a limit the
+with a the depth of cut, tau the period of a tooth and K = dF/dh per depth at the static chip thickness. At a limit the
 vibration repeats itself but for a factor of magnitude 1: u(t + tau) = mu u(t), mu = exp(i w tau). The delay then is the
 factor 1 - 1/mu, and the chip vibration h = e . u of one tooth obeys
 
@@ -13,9 +13,11 @@ factor 1 - 1/mu, and the chip vibration h = e . u of one tooth obeys
     G(t) = sum phi_i phi_i^T g_i(t),   g_i(t) = Im_i [exp(p_i t) / (1 - exp(p_i tau) / mu)] / w_di,   0 <= t < tau,
     g_i(t + tau) = mu g_i(t)
 
-where Im_i is (x - its counterpart with the conjugate pole) / 2i. Gauss-Legendre nodes on the arc make of it a matrix
-whose eigenvalues are 1/a. Real and positive eigenvalues are the limits, at all depths: period doubling at
-mu = -1, Hopf between mu = 1 and -1. Source of the factor: [Budak1998], of mu at period doubling: [Insperger2004].
+where Im_i is (x - its counterpart with the conjugate pole) / 2i. Teeth of unequal pitch have an h each, tau is a turn
+or the part that repeats, and the tooth ahead, which was at the same angle before, takes the place of the delay:
+h_j / a = v_j - v_j+1, v_j the integral over the arcs of all teeth, v_N = v_0 / mu. Gauss-Legendre nodes on the arc make
+of it a matrix whose eigenvalues are 1/a. Real and positive eigenvalues are the limits, at all depths: period doubling
+at mu = -1, Hopf between mu = 1 and -1. Source of the factor: [Budak1998], of mu at period doubling: [Insperger2004].
 """
 
 from __future__ import annotations
@@ -58,11 +60,6 @@ class Lobe:
     chatter_frequency: float = column("chatter_hz", 0.5 / math.pi, unit="Hz", short="chatter")
 
 
-def has_uniform_pitch(tool: Tool) -> bool:
-    """Return whether all teeth have the same delay, as the limit supposes."""
-    return not tool.pitch.size or bool(np.ptp(tool.pitch) < 1e-9)
-
-
 def stability_limit(
     modes: Modes,
     tool: Tool,
@@ -83,17 +80,22 @@ def stability_limit(
     # a mode with more waves keeps its stiffness: its lobes are so dense that its lowest limit counts at every speed
     slower = most_waves / np.maximum(waves, most_waves)
     modes = Modes(modes.frequency * slower, modes.damping_ratio, modes.shape * slower[:, None])
-    delay = 2.0 * math.pi / (speed * tool.teeth)
-    nodes = _nodes(entry, leave, speed * delay, math.ceil(NODES * float((waves * slower).max())) + 8)
-    inverse_depths = _inverse_depths(modes, tool, cutting, feed_per_tooth, *nodes, speed)
-    inverse, frequency = _largest_real(inverse_depths, _starts(modes, delay), 1.0 / deepest)
+    after = range(1, tool.teeth)  # teeth, after which the pitches repeat
+    repeat = next((n for n in after if np.ptp(tool.pitches - np.roll(tool.pitches, n)) < 1e-9), tool.teeth)
+    pitches = tool.pitches[:repeat]
+    density = NODES if repeat == 1 else 2 * NODES  # kinks of G are between the nodes of unequal teeth
+    period = float(pitches.sum()) / speed
+    nodes = _nodes(entry, leave, float(pitches.mean()), math.ceil(density * float((waves * slower).max())) + 8, density)
+    inverse_depths = _inverse_depths(modes, tool, cutting, feed_per_tooth, *nodes, pitches, speed)
+    inverse, frequency = _largest_real(inverse_depths, _starts(modes, period), 1.0 / deepest)
     if math.isnan(frequency):
         return math.inf, math.nan
-    # mu is the same for each w + 2 pi k / tau; chatter is near the mode that the cut excites
-    candidates = np.abs(2.0 * np.pi / delay * np.arange(-1000, 1001) + frequency)
-    away = np.abs(candidates[:, None] / modes.frequency - 1.0)
-    k, mode = np.unravel_index(np.argmin(away), away.shape)
-    return 1.0 / inverse, float(candidates[k] / slower[mode])
+    # mu is the same for each w + 2 pi k / T; chatter is near the mode that the cut excites
+    line, signed = 2.0 * np.pi / period, np.array([[frequency], [-frequency]])
+    candidates = signed + line * np.round((modes.frequency - signed) / line)
+    away = np.abs(candidates / modes.frequency - 1.0)
+    place = np.unravel_index(np.argmin(away), away.shape)
+    return 1.0 / inverse, float(abs(candidates[place]) / slower[place[1]])
 
 
 def _inverse_depths(
@@ -104,13 +106,19 @@ def _inverse_depths(
     angle: np.ndarray,
     weight: np.ndarray,
     basis: np.ndarray,
+    pitches: np.ndarray,
     speed: float,
 ) -> Callable:
-    """Return the function of frequencies [rad/s] (m,) that yields the 1/a there [1/m], (m, k); 0 for small ones."""
-    count, delay = angle.size, 2.0 * math.pi / (speed * tool.teeth)
+    """Return the function of frequencies [rad/s] (m,) that yields the 1/a there [1/m], (m, k); 0 for small ones.
+
+    pitches: to the tooth ahead [rad], of the teeth of a period, (n,).
+    """
+    teeth, count, period = pitches.size, angle.size, float(pitches.sum()) / speed
+    lead, share = np.repeat([np.cumsum(pitches) - pitches, pitches / pitches.mean()], count, axis=1)
+    angle, weight = np.tile(angle, teeth), np.tile(weight, teeth)
     radial = np.stack([np.cos(angle), tool.sense * np.sin(angle)], -1)
     motion = np.stack([-np.sin(angle), tool.sense * np.cos(angle)], -1)
-    chip = feed_per_tooth * np.maximum(np.cos(angle), 1e-3)
+    chip = feed_per_tooth * share * np.maximum(np.cos(angle), 1e-3)
     k_t, k_r, k_a = cutting.active.slopes(chip)
     plane = -(k_r[:, None] * radial + k_t[:, None] * motion)
     force = np.column_stack([plane, -k_a])  # k_a above 0 pulls the tool toward the part, -z
@@ -119,26 +127,33 @@ def _inverse_depths(
     w, zeta = modes.frequency, np.maximum(modes.damping_ratio, 1e-6)
     damped = w * np.sqrt(1.0 - zeta * zeta)
     pole = -zeta * w + 1j * damped
-    time = (angle[:, None] - angle) / speed
-    turns = np.floor(time / delay + 1e-6)
-    within = time - turns * delay
+    moment = (angle - lead) / speed
+    time = moment[:, None] - moment
+    turns = np.floor(time / period + 1e-6)
+    within = time - turns * period
     gain = (modes.shape[:, :2] @ radial.T)[:, :, None] * (modes.shape @ force.T)[:, None]
     gain *= np.sqrt(step[:, None] * step)  # symmetric weights: the same eigenvalues, a smaller norm
     kernel = gain * np.exp(pole[:, None, None] * within) / (2j * damped[:, None, None])
-    decay = np.exp(pole * delay)
+    decay = np.exp(pole * period)
     # G has a kink at t = 0, where the rate of g jumps by 1: the rule is wrong by the square of the step / 12
-    kink = np.where(within < 1e-6 * delay, gain.sum(0) * step / 12.0, 0.0)
+    kink = np.where(within < 1e-6 * period, gain.sum(0) * step / 12.0, 0.0)
 
     shifts, shift = np.unique(turns, return_inverse=True)
-    parts = np.concatenate([kernel, kernel.conj(), kink[None]])
-    parts = parts[:, None] * (shift.reshape(count, count) == np.arange(shifts.size)[:, None, None])
-    parts = (basis.T @ parts @ basis).reshape(-1, basis.shape[1] ** 2)
+    parts = np.concatenate([kernel, kink[None]])[:, None]
+    parts = parts * (shift.reshape(time.shape) == np.arange(shifts.size)[:, None, None])
+    parts = parts.reshape(-1, shifts.size, teeth, count, teeth, count).swapaxes(3, 4)
+    parts = (basis.T @ parts @ basis).swapaxes(3, 4)
+    size = teeth * basis.shape[1]
+    parts = np.concatenate([parts[:-1], parts[:-1].conj(), parts[-1:]]).reshape(-1, size**2)
     decay = np.concatenate([decay, decay.conj(), [0.0]])
 
     def at(frequency: np.ndarray, least: float) -> np.ndarray:
-        mu = np.exp(1j * frequency * delay)[:, None]
-        factors = ((1.0 - 1.0 / mu) / (1.0 - decay / mu))[:, :, None] * mu[..., None] ** shifts
-        loop = (factors.reshape(frequency.size, -1) @ parts).reshape(-1, *basis.shape[1:] * 2)
+        mu = np.exp(1j * frequency * period)[:, None]
+        factors = (1.0 / (1.0 - decay / mu))[:, :, None] * mu[..., None] ** shifts
+        loop = (factors.reshape(frequency.size, -1) @ parts).reshape(-1, size, size)
+        first = loop[:, : basis.shape[1]] / mu[..., None]
+        loop[:, : -basis.shape[1]] -= loop[:, basis.shape[1] :]  # the tooth ahead
+        loop[:, -basis.shape[1] :] -= first
         # no eigenvalue is larger than the root of the norm of the square
         # eigenvalues below 70 % of the least 1/a do not matter
         large = np.linalg.norm(loop @ loop, axis=(1, 2)) > (0.7 * least) ** 2
@@ -150,7 +165,9 @@ def _inverse_depths(
 
 
 @functools.lru_cache(64)
-def _nodes(entry: float, leave: float, pitch: float, count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _nodes(
+    entry: float, leave: float, pitch: float, count: int, density: int
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Angles and weights of some ``count`` nodes, by Gauss' rule between places that a pitch repeats, and a basis.
 
     Where a tooth is at a node, the others in cut are at nodes too, and so are the kinks of G. The vibrations are
@@ -165,14 +182,16 @@ def _nodes(entry: float, leave: float, pitch: float, count: int) -> tuple[np.nda
     angle = np.concatenate(angles)
     weight = np.concatenate([size * rule[1] for size, rule in zip(half, rules, strict=True)])
     span = (2.0 * angle - angle[0] - angle[-1]) / (angle[-1] - angle[0])
-    degree = math.ceil(3.6 * angle.size / NODES) + 6  # for each wave, pi at least; 4.5 give limits that differ by 3e-5
+    degree = (
+        math.ceil(3.6 * angle.size / density) + 6
+    )  # for each wave, pi at least; 4.5 give limits that differ by 3e-5
     basis = np.linalg.qr(np.sqrt(weight)[:, None] * np.polynomial.legendre.legvander(span, degree))[0]
     return angle, weight, basis
 
 
-def _starts(modes: Modes, delay: float) -> np.ndarray:
-    """Frequencies [rad/s] from above mu = 1 to mu = -1, ascending: equal steps, and about the resonances."""
-    most = np.pi / delay
+def _starts(modes: Modes, period: float) -> np.ndarray:
+    """Frequencies [rad/s] from mu = 1 to mu = -1, ascending: equal steps, and about the resonances."""
+    most = np.pi / period
     about = modes.frequency[:, None] * (
         # in half widths of a resonance from its frequency
         np.sqrt(1.0 - modes.damping_ratio**2)[:, None]
@@ -180,7 +199,7 @@ def _starts(modes: Modes, delay: float) -> np.ndarray:
     )
     folded = np.abs((about.ravel() + most) % (2.0 * most) - most)
     # the search starts at 9 frequencies from mu = 1 to -1
-    return np.unique(np.append(folded[folded > 1e-6 * most], np.linspace(0.0, most, 9)[1:]))
+    return np.unique(np.append(folded[folded > 1e-6 * most], np.linspace(0.0, most, 9)))
 
 
 def _largest_real(inverse_depths: Callable, frequency: np.ndarray, least: float) -> tuple[float, float]:
@@ -190,11 +209,11 @@ def _largest_real(inverse_depths: Callable, frequency: np.ndarray, least: float)
     one, may pass the real axis above the largest crossing so far.
     """
     values = inverse_depths(frequency, least)
-    # the imaginary part of a real eigenvalue is rounding
-    real = values[-1].real[np.abs(values[-1].imag) <= 1e-7 * np.abs(values[-1])]
-    best, at = max([(least, math.nan), *((value, frequency[-1]) for value in real.tolist())])
-    low, high = np.append(0.0, frequency[:-1]), frequency
-    before, after = np.concatenate([np.zeros_like(values[:1]), values[:-1]]), values  # 0 at mu = 1
+    best, at = least, math.nan
+    for end in (0, -1):  # at mu = 1 and -1, where the imaginary part of a real eigenvalue is rounding
+        real = values[end].real[np.abs(values[end].imag) <= 1e-7 * np.abs(values[end])]
+        best, at = max((best, at), (float(real.max(initial=0.0)), float(frequency[end])))
+    low, high, before, after = frequency[:-1], frequency[1:], values[:-1], values[1:]
     reach, guess, crossing = _interval(low, high, before, after)
     while True:
         k = int(np.argmax(crossing[:, 0]))

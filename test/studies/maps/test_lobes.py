@@ -54,45 +54,52 @@ def test_an_unstable_island_below_the_lobe_is_the_limit():
     assert result.chatter_frequency * delay / np.pi % 2.0 == pytest.approx(1.0, abs=1e-9)
 
 
-def random_loop(rng):
-    """Tool and arm modes, cut and speed of a random mill, and dF / du over each interval of a tooth period."""
-    of_arm = np.arange(rng.integers(1, 11)) > 3  # four modes of the tool, then of the arm
+def random_loop(rng, unequal=False):
+    """Tool and arm modes, cut and speed of a random mill, and dF / du of the teeth over each interval of a period."""
+    of_arm = np.arange(rng.integers(1, 4 if unequal else 11)) > 3  # four modes of the tool, then of the arm
     hertz, ratio, mass = (
         np.exp(rng.uniform(*np.log(np.where(of_arm[:, None], arm, tool)).T))
         for tool, arm in (((200, 2500), (8, 250)), ((0.005, 0.06), (0.01, 0.06)), ((0.03, 2), (50, 400)))
     )
     shape = rng.normal(size=(hertz.size, 3))
     modes = Modes(2 * np.pi * hertz, ratio, shape / np.linalg.norm(shape, axis=1, keepdims=True) / mass[:, None] ** 0.5)
-    teeth = int(rng.integers(1, 7))
+    teeth = int(rng.integers(2, 5) if unequal else rng.integers(1, 7))
     delay = rng.uniform(0.3, 3.0) / hertz.max()
     arc = np.arccos(1.0 - 2.0 * np.exp(rng.uniform(np.log(0.02), 0.0)))
     entry = (-np.pi / 2, np.pi / 2 - arc, -arc / 2)[rng.integers(3)]
     k_t = rng.uniform(3e8, 25e8)
     stiffness = k_t * np.array([1.0, rng.uniform(0.1, 0.6), rng.uniform(-0.3, 0.3)])
     k = int(max(60, 40 * delay * hertz.max(), 24 * 2 * np.pi / teeth / arc))  # 24 intervals on the arc
-    fine = (np.arange(200 * k) + 0.5) / k / 200
-    b = np.zeros((k, 3, 2))
+    lags = np.full(teeth, k)
+    if unequal:
+        lags[:-1] += rng.integers(-k // 8, k // 8 + 1, teeth - 1)
+        lags[-1] = teeth * k - lags[:-1].sum()
+    different = teeth if unequal else 1  # the others repeat the first
+    fine = (np.arange(200 * k * different) + 0.5) / 200  # intervals
+    b = np.zeros((different, k * different, 3, 2))
     for tooth in range(teeth):
-        angle = (fine + tooth) * 2 * np.pi / teeth
+        angle = (fine + lags[:tooth].sum()) * 2 * np.pi / teeth / k
         angle = np.mod(angle + np.pi, 2 * np.pi) - np.pi
         cut = (angle > entry) & (angle < entry + arc)
         radial = np.stack([np.cos(angle), -np.sin(angle)], -1)
         motion = np.stack([-np.sin(angle), -np.cos(angle)], -1)
         force = np.column_stack([stiffness[1] * radial + stiffness[0] * motion, np.full(angle.size, stiffness[2])])
-        b -= (cut[:, None, None] * force[:, :, None] * radial[:, None]).reshape(k, 200, 3, 2).mean(1)
-    tool = SimpleNamespace(teeth=teeth, sense=-1.0)
+        slopes = cut[:, None, None] * force[:, :, None] * radial[:, None]
+        b[tooth % different] -= slopes.reshape(k * different, 200, 3, 2).mean(1)
+    tool = SimpleNamespace(teeth=teeth, sense=-1.0, pitches=lags * 2 * np.pi / teeth / k)
     cutting = SimpleNamespace(active=SimpleNamespace(slopes=lambda h: tuple(np.outer(stiffness, 1 + 0 * h))))
-    return modes, tool, cutting, (entry, entry + arc, 2 * np.pi / teeth / delay), b, delay
+    return modes, tool, cutting, (entry, entry + arc, 2 * np.pi / teeth / delay), delay * different, lags[:different], b
 
 
+@pytest.mark.parametrize("unequal", [False, True])
 @pytest.mark.parametrize("seed", range(1000 if LONG else 4))
-def test_below_the_limit_of_random_modes_every_multiplier_is_within_the_unit_circle_and_above_not(seed):
-    modes, tool, cutting, arc, b, delay = random_loop(np.random.default_rng(seed))
+def test_below_the_limit_of_random_modes_every_multiplier_is_within_the_unit_circle_and_above_not(seed, unequal):
+    modes, tool, cutting, arc, *loop = random_loop(np.random.default_rng(seed), unequal)
     limit, _ = stability_limit(modes, tool, cutting, 1e-4, *arc)
     deepest = min(limit, 0.1)
     shares = np.append(np.geomspace(0.02, 0.5, 12), np.arange(0.5, 0.98, 0.01 if LONG else 0.04))
-    assert all(modal_radius(modes, share * deepest, delay, b) < 1.0 + 1e-9 for share in shares)
-    assert limit > 0.1 or any(modal_radius(modes, share * limit, delay, b) > 1.0 for share in (1.01, 1.02))
+    assert all(modal_radius(modes, share * deepest, *loop) < 1.0 + 1e-9 for share in shares)
+    assert limit > 0.1 or any(modal_radius(modes, share * limit, *loop) > 1.0 for share in (1.01, 1.02))
 
 
 def test_a_feature_is_cut_in_its_own_direction(tmp_path):
