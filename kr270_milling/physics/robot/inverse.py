@@ -14,7 +14,7 @@ from kr270_milling.base.compiled import compiled, inner
 from kr270_milling.base.frames import Pose, rotation_from_quaternion
 from kr270_milling.physics.robot.arm import Arm, Mount
 from kr270_milling.physics.robot.errors import JointLimitError, ReachError, SingularityError
-from kr270_milling.physics.robot.kinematics import elbow_and_reach
+from kr270_milling.physics.robot.kinematics import elbow_and_reach, rows_of
 
 #: shoulder, elbow, wrist of the 8 branches, (8, 3)
 BRANCHES = np.array([(s, e, w) for s in (1, -1) for e in (1, -1) for w in (1, -1)], float)
@@ -84,12 +84,9 @@ def branches(arm: Arm, mount: Mount, pose: Pose, near_q) -> tuple[np.ndarray, np
     """
     flange, near_q = pose @ mount.pose.inverse(), np.asarray(near_q, float)
     shape = np.broadcast_shapes(pose.position.shape[:-1], near_q.shape[:-1])
-    position = np.broadcast_to(flange.position, (*shape, 3)).reshape(-1, 3)
-    rotation = np.broadcast_to(flange.rotation, (*shape, 3, 3)).reshape(-1, 3, 3)
-    near_a4 = np.broadcast_to(near_q[..., 3], shape).reshape(-1)
+    position, rotation = rows_of(flange.position, shape, 1), rows_of(flange.rotation, shape, 2)
     q, distance = np.full((len(position), 8, 6), np.nan), np.empty((len(position), 8))
-    position, rotation, near_a4 = map(np.ascontiguousarray, (position, rotation, near_a4))
-    _fill(lengths_of(arm), position, rotation, near_a4, -1, q, distance)
+    _fill(lengths_of(arm), position, rotation, rows_of(near_q[..., 3], shape, 0), -1, q, distance)
     return q.reshape(*shape, 8, 6), distance.reshape(*shape, 8)
 
 
@@ -199,7 +196,8 @@ def _along(arm: Arm, mount: Mount, path: Pose, seed: np.ndarray) -> np.ndarray:
     beta, radius = elbow_and_reach(arm, first)
     row = (0 if radius >= 0 else 4) + (0 if _wrapped(beta) <= 0 else 2)  # in BRANCHES, with A5 > 0
     flange = path @ mount.pose.inverse()
-    position, rotation = map(np.ascontiguousarray, (flange.position, flange.rotation))
+    batch = flange.position.shape[:1]
+    position, rotation = rows_of(flange.position, batch, 1), rows_of(flange.rotation, batch, 2)
     q = np.empty((len(position), 6))
     q[0] = first
     every, away = np.full((8, 6), np.nan), np.zeros(8)
