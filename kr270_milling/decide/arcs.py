@@ -13,8 +13,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
+from kr270_milling.base.compiled import compiled, inner
 from kr270_milling.cell.paths import CellPath
 from kr270_milling.cell.stage import Removal
 from kr270_milling.decide.height_map import MAP_TURN, chord, height_map, lower, lower_along, on_map, with_profile
@@ -104,22 +104,23 @@ def arcs_along(path: CellPath, earlier: Sequence[Removal] = ()) -> Arcs:
     )
 
 
-@njit(cache=True, nogil=True)
+@inner
 def _lower_outside(grid, radius, path, k):
     """Lower what the tool cuts on the way to place k; nodes below a tool that sinks follow when the tool leaves them.
 
     The deepest place of the tool above a node is the first, the last, or one where the tool stops to sink.
     """
     last, place = path[max(k - 1, 0)], path[k]
-    if k > 0 and place[2] < last[2]:  # the same way back: what it finds cut is what the tool has not left yet
-        lower(grid, grid.depth, radius, place, last, True)
+    sinks, sank = k > 0 and place[2] < last[2], k > 1 and last[2] < path[k - 2, 2]
+    if sinks:  # the same way back: what it finds cut is what the tool has not left yet
+        lower(grid, grid.depth, radius, place, last, sinks)
         return
-    if k > 1 and last[2] < path[k - 2, 2]:
-        lower(grid, grid.depth, radius, last, last, False)
+    if sank:
+        lower(grid, grid.depth, radius, last, last, not sank)
     lower(grid, grid.depth, radius, last, place, k > 0)
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _engage(grid, path, heading, radius, look, met):
     """Material in the tool at every eighth place: nodes, largest depth, least and largest distance to the left.
 

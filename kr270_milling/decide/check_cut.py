@@ -7,11 +7,11 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from scipy.ndimage import maximum_filter
 from scipy.spatial import cKDTree
 
 from kr270_milling.base.column import column
+from kr270_milling.base.compiled import compiled
 from kr270_milling.base.frames import lifted, tool_axis
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import ScoredPass
@@ -317,7 +317,7 @@ def _discs(bodies: list[tuple[str, np.ndarray]], deepest: float) -> np.ndarray:
     return np.array(rows).reshape(-1, 3)
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _meet(grid, ahead, path, series, wanted, radii, narrow, bodies, lost, met):
     """Fill ``met`` with what the tool meets on the way to each place that is wanted, and lower the map there.
 
@@ -344,7 +344,7 @@ def _meet(grid, ahead, path, series, wanted, radii, narrow, bodies, lost, met):
         for n in range(bodies.shape[0]):
             upright = path[k, 0] == last[0] and path[k, 1] == last[1]
             if below > bodies[n, 1] and (upright or k % body_every == 0):
-                highest = near_axis(grid, lost[:, :0, :0], bodies[n, 0], path[k], k)[1]
+                highest = near_axis(grid, lost, bodies[n, 0], path[k], ~k)[1]
                 row = int(bodies[n, 2])
                 met[row, k] = max(met[row, k], below - bodies[n, 1] - highest)
 

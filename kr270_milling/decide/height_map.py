@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
+from kr270_milling.base.compiled import INNER, compiled, inner
 from kr270_milling.physics.cutting import Stock, Tool
 from kr270_milling.physics.cutting.profile import outline
 
@@ -19,6 +20,7 @@ from kr270_milling.physics.cutting.profile import outline
 #: y or a diagonal lies on a row of nodes, so that a long contact far narrower than the node step still covers nodes
 MAP_TURN = math.atan((math.sqrt(5.0) - 1.0) / 2.0)
 ROUNDING = 1e-7  #: [m], of depths (float32) and radii
+merged = njit(**INNER, inline="always")
 ENTRIES = 512  #: of a profile
 VERTICAL = 1e-20  #: [m^2], square of the horizontal length below which a move is vertical
 
@@ -35,6 +37,7 @@ class HeightMap(NamedTuple):
     top: float
     profile: np.ndarray  # height of the tool by the distance from its axis, up to ``radius`` [m]; (0,): a flat end
     radius: float  # of the profile [m]
+    rim: np.ndarray  # scratch: two ranges of nodes of each column, int32, (4, n)
 
 
 def on_map(position: np.ndarray) -> np.ndarray:
@@ -76,10 +79,11 @@ def height_map(stock: Stock, step: float, position: np.ndarray, radius: float) -
         float(high[2]),
         np.zeros(0),
         0.0,
+        np.zeros((4, columns), np.int32),
     )
 
 
-@njit(cache=True, inline="always", nogil=True)
+@merged
 def chord(away_x, y, square, origin, step):
     """First and last node of a column within a circle about (0, y), to a node; away_x: of the column; square: of the
     radius. A column beside the circle gives an empty range.
@@ -91,7 +95,7 @@ def chord(away_x, y, square, origin, step):
     return int((y - half - origin) / step), int((y + half - origin) / step) + 1
 
 
-@njit(cache=True, nogil=True)
+@inner
 def lower(grid, depth, radius, start, end, cleared):
     """Lower the nodes of ``depth`` to the end of the tool on a straight way from one place (3,) to another.
 
@@ -112,7 +116,7 @@ def lower(grid, depth, radius, start, end, cleared):
     return deepest, volume
 
 
-@njit(cache=True, nogil=True)
+@inner
 def _lower(grid, depth, radius, x, y, below, to_x, to_y, to_below, cleared):
     """``lower`` on a way of at most one node; below, to_below: depths of the tip at its ends."""
     step, square, move_x, move_y = grid.step, radius**2, to_x - x, to_y - y
@@ -122,12 +126,12 @@ def _lower(grid, depth, radius, x, y, below, to_x, to_y, to_below, cleared):
     deepest = volume = 0.0
     first_i = max(int((min(x, to_x) - radius - grid.x) / step), 0)
     end_i = max(min(int((max(x, to_x) + radius - grid.x) / step) + 2, depth.shape[0]), first_i)
-    rim = np.empty((4, end_i - first_i), np.int32)
-    _rim(grid, square, x, y, move_x, move_y, cleared, first_i, rim)
+    rim = grid.rim
+    _rim(grid, square, x, y, move_x, move_y, cleared, first_i, end_i)
     for i in range(first_i, end_i):
-        n, away_x = i - first_i, grid.x + i * step - x
+        away_x = grid.x + i * step - x
         for part in range(0, 4, 2):
-            for j in range(max(rim[part, n], grid.first[i]), min(rim[part + 1, n] + 1, grid.end[i])):
+            for j in range(max(rim[part, i], grid.first[i]), min(rim[part + 1, i] + 1, grid.end[i])):
                 before = grid.depth[i, j]
                 if max(before, depth[i, j]) + ROUNDING >= most:
                     continue
@@ -146,17 +150,17 @@ def _lower(grid, depth, radius, x, y, below, to_x, to_y, to_below, cleared):
     return deepest, volume
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
-def _rim(grid, square, x, y, move_x, move_y, cleared, first_i, rim):
-    """Fill the nodes of each column that a move of at most one node may lower: two ranges, (4, n), last ones included.
+@inner
+def _rim(grid, square, x, y, move_x, move_y, cleared, first_i, end_i):
+    """Fill ``grid.rim`` with the nodes of each column that a move of at most one node may lower, last ones included.
 
     cleared: the circle about (x, y) is as deep; the ranges are then below and above the circle, else the first has all.
     An end of the chord that is not farthest at an end of the move has a slack of two nodes, and each has that of a
     rounding.
     """
-    scale, tiny = 1.0 / grid.step, 1e-6
-    for n in range(rim.shape[1]):
-        u = grid.x + (first_i + n) * grid.step - x
+    scale, tiny, rim = 1.0 / grid.step, 1e-6, grid.rim
+    for i in range(first_i, end_i):
+        u = grid.x + i * grid.step - x
         w = u - move_x
         rest, to_rest = square - u * u, square - w * w
         half, to_half = np.sqrt(max(rest, 0.0)), np.sqrt(max(to_rest, 0.0))
@@ -170,13 +174,13 @@ def _rim(grid, square, x, y, move_x, move_y, cleared, first_i, rim):
         most = max(high if meets else -np.inf, to_high if to_meets else -np.inf) + (tiny if up else 2.0)
         beside = not (meets and cleared)
         none = not (meets or to_meets)
-        rim[0, n] = np.int32(0 if none else np.ceil(least))
-        rim[1, n] = np.int32(-1 if none else np.floor(most if beside else low + tiny))
-        rim[2, n] = np.int32(0 if beside else max(np.ceil(high - tiny), np.floor(low + tiny) + 1.0))
-        rim[3, n] = np.int32(-1 if beside else np.floor(most))
+        rim[0, i] = np.int32(0 if none else np.ceil(least))
+        rim[1, i] = np.int32(-1 if none else np.floor(most if beside else low + tiny))
+        rim[2, i] = np.int32(0 if beside else max(np.ceil(high - tiny), np.floor(low + tiny) + 1.0))
+        rim[3, i] = np.int32(-1 if beside else np.floor(most))
 
 
-@njit(cache=True, inline="always", nogil=True)
+@merged
 def _deepest(along, beside, way, square, below, to_below):
     """Deepest place of a straight way while a node is within the radius; -inf where no place is.
 
@@ -194,7 +198,7 @@ def _deepest(along, beside, way, square, below, to_below):
     return below + (to_below - below) * (last if to_below > below else first)
 
 
-@njit(cache=True, inline="always", nogil=True)
+@merged
 def _deepest_of_profile(grid, along, beside, way, radius, below, to_below, before):
     """As ``_deepest``, less the height of the profile: the deepest of the place next to the node and of both ends.
 
@@ -214,12 +218,13 @@ def _deepest_of_profile(grid, along, beside, way, radius, below, to_below, befor
     return tip
 
 
-@njit(cache=True, nogil=True)
+@inner
 def near_axis(grid, lost, radius, place, number):
     """Return the largest depth that a node lost while the axis of the tool stayed near [m], and the least depth [m].
 
     Near is within ``radius`` of ``place``. lost: depth of each node when the axis came near, and the number of the
-    last place that was near, (2, n, m); number: of this place, one more than that of the place before.
+    last place that was near, (2, n, m); number: of this place, one more than that of the place before; below 0: no
+    node loses.
     """
     most, least = 0.0, np.inf
     first_i = max(int((place[0] - radius - grid.x) / grid.step), 0)
@@ -230,7 +235,7 @@ def near_axis(grid, lost, radius, place, number):
             if away_x**2 + (grid.y + j * grid.step - place[1]) ** 2 >= radius**2:
                 continue
             least = min(least, grid.depth[i, j])
-            if lost.shape[1] == 0:
+            if number < 0:
                 continue
             if lost[1, i, j] != number - 1:
                 lost[0, i, j] = grid.depth[i, j]
@@ -239,7 +244,7 @@ def near_axis(grid, lost, radius, place, number):
     return most, least
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def lower_along(grid, radius, path):
     """Lower the map along straight ways through the places (m, 3) of a tool."""
     for k in range(path.shape[0]):

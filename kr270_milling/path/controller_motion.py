@@ -16,10 +16,10 @@ approximate positioning begins at the earliest; at most half the distance betwee
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from scipy.linalg import solve_banded
 
 from kr270_milling.base.blocks import blocks
+from kr270_milling.base.compiled import compiled
 from kr270_milling.path.trajectory import AT_REST, Trajectory
 
 
@@ -124,7 +124,7 @@ def places_on_program(
     return place
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@compiled
 def _fill_places(travelled, knots, points, first, last, place):
     """Fill the places (n, 3) at distances (n,) on the cubics between points; first, last: slopes of each over u."""
     k = 0

@@ -20,10 +20,10 @@ from functools import cached_property
 from typing import Literal
 
 import numpy as np
-from numba import njit
 from scipy.spatial.transform import Rotation
 
 from kr270_milling.base.blocks import blocks
+from kr270_milling.base.compiled import compiled
 from kr270_milling.base.errors import InputError, MillingError
 from kr270_milling.base.files import write_files
 from kr270_milling.base.frames import abc_from_rotation, rotation_from_quaternion
@@ -255,7 +255,7 @@ class Trajectory:
         return cls(time_ns, np.asarray(start, float) + path[:, None] * unit, np.array(TOOL_DOWN))
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@compiled
 def _fill_samples(knots, position, velocity, times, rate, left, samples):
     """Fill positions, or rates, at times [ns], best sorted; velocity: (0, 3) for straight lines."""
     last, k = knots.size - 2, 0
@@ -266,8 +266,13 @@ def _fill_samples(knots, position, velocity, times, rate, left, samples):
         while k < last and (knots[k + 1] < time if left else knots[k + 1] <= time):
             k += 1
         if knots[k] > time or (left and k > 0 and knots[k] == time):  # an earlier time
-            k = np.searchsorted(knots, time, side="left") if left else np.searchsorted(knots, time, side="right")
-            k = min(max(k - 1, 0), last)
+            high, k = k, 0
+            while k < high:  # Numba compiles ``np.searchsorted`` for a second
+                middle = (k + high + 1) // 2
+                if knots[middle] < time if left else knots[middle] <= time:
+                    k = middle
+                else:
+                    high = middle - 1
         step_ns = knots[k + 1] - knots[k]
         u, step = (time - knots[k]) / step_ns, step_ns * 1e-9
         for i in range(3):

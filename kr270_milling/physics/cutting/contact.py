@@ -17,7 +17,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from kr270_milling.physics.cutting.compiled import compiled
+from kr270_milling.base.compiled import compiled
 from kr270_milling.physics.cutting.cut import CutModel
 from kr270_milling.physics.cutting.engagement import RIM
 from kr270_milling.physics.cutting.profile import RUN, cylinder, lines

@@ -8,9 +8,7 @@ from __future__ import annotations
 
 import math
 
-from numba import njit
-
-from kr270_milling.physics.cutting.compiled import OPTIONS, compiled
+from kr270_milling.base.compiled import compiled
 from kr270_milling.physics.cutting.engagement import (
     CONTACT,
     FLOOR_LEVEL,
@@ -50,7 +48,7 @@ def cut_undo(s, teeth, mean):
     return undone
 
 
-@njit(**{**OPTIONS, "nogil": True})  # several workpieces are cut at once
+@compiled
 def engage(s, p, flat, profile, tilts, upright, poses, steps, wrench, torque, volume):
     """Cut from each pose to the next, straight, with the mean force of the engagement.
 
@@ -129,7 +127,7 @@ def engage(s, p, flat, profile, tilts, upright, poses, steps, wrench, torque, vo
         volume[k] = (s.floats[LEVEL_SUM] - before) * p.spacing * p.spacing
 
 
-@njit(cache=True, error_model="numpy", nogil=True)  # several workpieces are cut at once
+@compiled
 def sweep_teeth(s, p, positions, steps, forces, wrench, torque, volume):
     """``engage`` with the sweep of the teeth; forces: of each micro-step of a single step, filled, or NO_FORCES."""
     for k in range(1, positions.shape[0]):

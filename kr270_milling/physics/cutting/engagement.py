@@ -50,7 +50,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from kr270_milling.physics.cutting.compiled import inlined
+from kr270_milling.base.compiled import inlined
 from kr270_milling.physics.cutting.fill import any_above
 from kr270_milling.physics.cutting.force_law import forces_at
 from kr270_milling.physics.cutting.grid import MAX_TILES, TILE, Stock, tile_count

@@ -10,7 +10,7 @@ import math
 
 import numpy as np
 
-from kr270_milling.physics.cutting.compiled import compiled, inlined
+from kr270_milling.base.compiled import compiled, inlined
 from kr270_milling.physics.cutting.grid import LEVELS, TILE
 from kr270_milling.physics.cutting.lanes import LANES, lower_lanes
 from kr270_milling.physics.cutting.state import BLOCK, FAILED, LOG_LOST, LOGGED, LOGGED_RUNS, TALLIED, TILES
@@ -204,4 +204,4 @@ def clear_quad(s, xs, ys, nx, ny, level):
             ja, jb = max(ja, 0), min(jb, ny - 1)
             if ja <= jb:
                 spans[0, 0], spans[1, 0] = ja, jb
-                _clear_columns(pool, table, ints, runs, old, tally, spans, ix, 1, ja, jb, level)
+                _clear_columns(pool, table, ints, runs, old, tally, spans, ix, np.int64(1), ja, jb, level)

@@ -20,10 +20,10 @@ from numba.core import cgutils
 from numba.core.errors import NumbaError
 from numba.extending import intrinsic
 
+from kr270_milling.base.compiled import compiled, inlined
 from kr270_milling.base.errors import ConfigError
 from kr270_milling.base.record import Record, specs
 from kr270_milling.base.units import UNITS
-from kr270_milling.physics.cutting.compiled import compiled, inlined
 from kr270_milling.physics.cutting.tool import Tool
 
 FORCES = types.UniTuple(types.float64, 3)

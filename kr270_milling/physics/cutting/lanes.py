@@ -12,7 +12,7 @@ from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic
 
-from kr270_milling.physics.cutting.compiled import compiled
+from kr270_milling.base.compiled import compiled
 
 LANES = 16  #: nodes; grid and log reach that far beyond their last one
 NODE, INDEX = ir.IntType(16), ir.IntType(32)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from kr270_milling.physics.cutting.compiled import inlined
+from kr270_milling.base.compiled import inlined
 from kr270_milling.physics.cutting.force_law import forces_at
 
 
@@ -23,9 +23,9 @@ def load(s, p, i, step, turn, h, height):
         _add(s, p, i, turn, step, f_t, f_r, f_a, 1.0, 0.5 * height)
         return
     for later in range(int(length) + 2):
-        share = (_hat(length - later) - _hat(-later)) / length
+        share = (_hat(length - later) - _hat(0.0 - later)) / length
         if share > 0.0:
-            place = later + (_hat_moment(length - later) - _hat_moment(-later)) / (length * share)
+            place = later + (_hat_moment(length - later) - _hat_moment(0.0 - later)) / (length * share)
             _add(s, p, i, turn, step + later, f_t, f_r, f_a, share, height * place / length)
 
 

@@ -35,7 +35,7 @@ import math
 
 import numpy as np
 
-from kr270_milling.physics.cutting.compiled import inlined
+from kr270_milling.base.compiled import inlined
 from kr270_milling.physics.cutting.engagement import (
     BEYOND,
     CONTACT,

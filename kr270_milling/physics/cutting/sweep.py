@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from kr270_milling.physics.cutting.compiled import inlined, inner
+from kr270_milling.base.compiled import inlined, inner
 from kr270_milling.physics.cutting.fill import clear_quad, clear_sector, tally_log
 from kr270_milling.physics.cutting.load import end_force, load
 from kr270_milling.physics.cutting.state import (

@@ -30,7 +30,7 @@ import math
 
 import numpy as np
 
-from kr270_milling.physics.cutting.compiled import compiled, inlined, inner
+from kr270_milling.base.compiled import compiled, inlined, inner
 from kr270_milling.physics.cutting.engagement import BEYOND, FLOOR_LEVEL, RIM, SINES, SWING, take_tile
 from kr270_milling.physics.cutting.grid import LEVELS
 from kr270_milling.physics.cutting.profile import BEND, COSINE_K, ENTRIES, RUN, SINE_K

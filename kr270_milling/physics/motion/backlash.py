@@ -22,6 +22,8 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 
+from kr270_milling.base.compiled import compiled, inner
+
 STATES = 18  #: numbers of the state of the gaps: mean wrench, flanks, first flanks
 
 
@@ -46,7 +48,7 @@ class Gaps:
 NO_GAPS = Gaps(np.zeros((0, 6)), np.zeros((0, 6, 6)), np.zeros(6), np.zeros(6), 1.0, 1.0)
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def flank_after(torque, friction, flank):
     """The flank (-1, 0, 1) under a torque [N m] that the friction torque opposes; 0: not known yet.
 
@@ -59,7 +61,7 @@ def flank_after(torque, friction, flank):
     return flank
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@inner
 def cross_gaps(step, state, wrench, gaps, new_state, deflection):
     """Advance the gaps by an exchange period: fill ``new_state`` (18,) and add to ``deflection`` (6,).
 

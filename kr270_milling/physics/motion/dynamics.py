@@ -20,12 +20,11 @@ from functools import cached_property
 from typing import Literal, NamedTuple
 
 import numpy as np
-from numba import njit
 from scipy.spatial.transform import Rotation
 
+from kr270_milling.base.compiled import compiled, inlined
 from kr270_milling.base.errors import ModelError
 from kr270_milling.path.trajectory import Trajectory
-from kr270_milling.physics.cutting.compiled import inlined
 from kr270_milling.physics.motion.backlash import NO_GAPS, STATES, Gaps, cross_gaps
 
 Side = Literal["left", "right"]
@@ -242,7 +241,7 @@ def reference_motion(
     return motion
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@compiled
 def _accelerations(period, moved, before, after, motion):
     """Fill ``motion`` (n, 18), see ``reference_motion``, from r' before and after each stamp, (n + 1, 6)."""
     for n in range(period.size):
@@ -278,7 +277,7 @@ def _turning(reference: Trajectory, stamps: np.ndarray, side: Side) -> np.ndarra
     return np.where(reference.moving(stamps)[:, None], reference.turn(stamps, side)[2], 0.0)
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@compiled
 def push(motion, response, steps_per_knot, first, out):
     """Fill ``out`` (n, 2r): what the motion (n, 18) of the reference adds to the state at the end of each period.
 
@@ -300,14 +299,14 @@ def push(motion, response, steps_per_knot, first, out):
                     out[step, i] += (r + f * (response[m, j, i] - r)) * motion[step, j]
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@compiled
 def advance(step, state, wrench, push, arrays, new_state, deflection):
     """Advance (1) by an exchange period: fill ``new_state`` and ``deflection`` (6,) at the end of the period.
 
     ``step`` counts exchange periods from the start of the pass; between two postures of the model the matrices are
     interpolated linearly. push (2r,): of the reference in this period, a row of ``ArmModel.push``; (0,): none.
     """
-    free = np.empty(arrays[0].shape[1])
+    free = new_state[: arrays[0].shape[1]]
     swing_freely(step, state, arrays, free)
     drive(step, free, state, wrench, push, arrays, new_state, deflection)
 

@@ -11,16 +11,15 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
+from kr270_milling.base.compiled import compiled, inner
 from kr270_milling.base.errors import MillingError
 from kr270_milling.base.frames import tool_axis
 from kr270_milling.path.trajectory import Trajectory
 from kr270_milling.physics.cutting import CutModel
-from kr270_milling.physics.cutting.compiled import inner
 from kr270_milling.physics.cutting.cut_step import cut_undo, engage
 from kr270_milling.physics.cutting.state import LEVEL_SUM
-from kr270_milling.physics.cutting.sweep import sweep
+from kr270_milling.physics.cutting.sweep import NO_FORCES, sweep
 from kr270_milling.physics.motion.dynamics import ArmModel, advance, drive, swing_freely
 from kr270_milling.physics.motion.periods import Clock
 
@@ -126,18 +125,17 @@ def follow(model: ArmModel, pushes: np.ndarray, wrenches: np.ndarray) -> np.ndar
     ``CompliantArm.correct`` returns the same bits, one by one.
     """
     deflections = np.zeros((len(wrenches), 6))
-    _follow(np.ascontiguousarray(wrenches, float), np.zeros(model.states), pushes, model.arrays, deflections)
+    states = np.zeros((2, model.states))
+    _follow(np.ascontiguousarray(wrenches, float), states, pushes, model.arrays, deflections)
     return deflections
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
-def _follow(wrenches, state, pushes, arrays, deflections):
-    scratch, none = np.zeros(state.size), np.zeros(0)
+@compiled
+def _follow(wrenches, states, pushes, arrays, deflections):
     for n in range(len(wrenches) - 1):
-        push = pushes[n] if len(pushes) else none
-        advance(n, state, wrenches[n + 1], push, arrays, scratch, deflections[n + 1])
-        for j in range(state.size):
-            state[j] = scratch[j]
+        before, after = states[n % 2], states[(n + 1) % 2]
+        push = pushes[n] if len(pushes) else after[:0]
+        advance(n, before, wrenches[n + 1], push, arrays, after, deflections[n + 1])
 
 
 def _refuse_flight(stamps: np.ndarray, deflections: np.ndarray) -> None:
@@ -159,9 +157,24 @@ def _swing(first, count, state, wrench, pushes, row, arrays, states, free, defle
         drive(first + i, free, before, wrench, push, arrays, after, deflections[row + i + 1])
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@compiled
 def _exchange(
-    window, first, last, iterations, most, reference, silent, arm, state, wrench, cut, teeth, mean, micro_steps, out
+    window,
+    first,
+    last,
+    iterations,
+    most,
+    reference,
+    silent,
+    arm,
+    state,
+    wrench,
+    cut,
+    teeth,
+    mean,
+    micro_steps,
+    scratch,
+    out,
 ):
     """Exchange periods first+1..last of a pass, Fig. 7; state and wrench are carried on. False: a sweep too large.
 
@@ -172,12 +185,10 @@ def _exchange(
     pushes, arrays = arm
     s, p = cut
     per_node = p.spacing * p.spacing
-    states, free = np.zeros((2, state.size)), np.zeros(arrays[0].shape[1])
-    span, turned, taken, answers = np.zeros(2, np.int64), np.zeros(2), np.zeros(2), np.zeros((2, 6))
-    answer, no_forces = answers[1], np.empty((0, 3))
+    states, free, span, turned, taken, answers, given, no_forces = scratch
+    answer = answers[1]
     for j in range(6):
         answer[j] = wrench[j]
-    given = np.zeros((2, tool.shape[1]))  # poses for the cut, before and after
     for j in range(tool.shape[1]):
         given[0, j] = tool[first - window, j]
     n, count, cuts = first, 1, False
@@ -293,6 +304,17 @@ def run_pass(
     filled = 0
     most = TOGETHER if quick and cut.mean and iterations == 1 and n >= MANY else 1
     cut_state = cut.state if iterations > 1 or most > 1 else cut.state_of_pass
+    # states and free vibration of the arm; steps, torques, volumes, wrenches and poses of the cut, before and after
+    scratch = (
+        np.zeros((2, model.states)),
+        np.zeros(model.order),
+        np.zeros(2, np.int64),
+        np.zeros(2),
+        np.zeros(2),
+        np.zeros((2, 6)),
+        np.zeros((2, tool.shape[1])),
+        NO_FORCES,
+    )
     area, volume, undercut, wall = cut.removed_area, cut.removed_volume, cut.undercut_volume, 0.0
     for begin in range(0, max(n, 1), window):
         end = min(begin + window, n)
@@ -317,6 +339,7 @@ def run_pass(
             cut.teeth,
             cut.mean,
             clock.micro_steps,
+            scratch,
             out,
         )
         _exchange(begin, begin, begin, *carried)  # compiled before the clock runs

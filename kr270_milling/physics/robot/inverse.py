@@ -5,14 +5,16 @@ Branch: shoulder (the wrist centre in front of axis 1 or at its back), elbow (be
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
-from numba import njit
 
 from kr270_milling.base.blocks import blocks
+from kr270_milling.base.compiled import compiled, inner
 from kr270_milling.base.frames import Pose, rotation_from_quaternion
 from kr270_milling.physics.robot.arm import Arm, Mount
 from kr270_milling.physics.robot.errors import JointLimitError, ReachError, SingularityError
-from kr270_milling.physics.robot.kinematics import elbow_and_reach
+from kr270_milling.physics.robot.kinematics import elbow_and_reach, rows_of
 
 #: shoulder, elbow, wrist of the 8 branches, (8, 3)
 BRANCHES = np.array([(s, e, w) for s in (1, -1) for e in (1, -1) for w in (1, -1)], float)
@@ -22,10 +24,10 @@ BRANCHES.setflags(write=False)
 def _wrapped(angle):
     """The angle [rad], a number or an array, within a half turn to either side."""
     two_pi = 2 * np.pi
-    return angle - two_pi * np.round(angle / two_pi)
+    return angle - two_pi * np.rint(angle / two_pi)
 
 
-wrapped = njit(cache=True, nogil=True)(_wrapped)
+wrapped = inner(_wrapped)
 
 
 def inverse_near(arm: Arm, mount: Mount, pose: Pose, near_q) -> np.ndarray:
@@ -82,12 +84,9 @@ def branches(arm: Arm, mount: Mount, pose: Pose, near_q) -> tuple[np.ndarray, np
     """
     flange, near_q = pose @ mount.pose.inverse(), np.asarray(near_q, float)
     shape = np.broadcast_shapes(pose.position.shape[:-1], near_q.shape[:-1])
-    position = np.broadcast_to(flange.position, (*shape, 3)).reshape(-1, 3)
-    rotation = np.broadcast_to(flange.rotation, (*shape, 3, 3)).reshape(-1, 3, 3)
-    near_a4 = np.broadcast_to(near_q[..., 3], shape).reshape(-1)
+    position, rotation = rows_of(flange.position, shape, 1), rows_of(flange.rotation, shape, 2)
     q, distance = np.full((len(position), 8, 6), np.nan), np.empty((len(position), 8))
-    position, rotation, near_a4 = map(np.ascontiguousarray, (position, rotation, near_a4))
-    _fill(lengths_of(arm), position, rotation, near_a4, q, distance)
+    _fill(lengths_of(arm), position, rotation, rows_of(near_q[..., 3], shape, 0), -1, q, distance)
     return q.reshape(*shape, 8, 6), distance.reshape(*shape, 8)
 
 
@@ -96,14 +95,14 @@ def lengths_of(arm: Arm) -> tuple[float, ...]:
     return tuple(map(float, (arm.d1, arm.a1, arm.a2, arm.forearm, arm.d6, arm.elbow_offset)))
 
 
-@njit(cache=True, nogil=True)
-def _fill(lengths, position, rotation, near_a4, q, distance):
+@compiled
+def _fill(lengths, position, rotation, near_a4, only, q, distance):
     for k in range(len(position)):
-        branches_at(lengths, position[k], rotation[k], near_a4[k], q[k], distance[k])
+        branches_at(lengths, position[k], rotation[k], near_a4[k], only, q[k], distance[k])
 
 
-@njit(cache=True, nogil=True)
-def branches_at(lengths, position, rotation, near_a4, q, distance, only=-1):
+@inner
+def branches_at(lengths, position, rotation, near_a4, only, q, distance):
     """Fill q (8, 6) [rad] with the branches of one flange pose, and distance (8,) [m]; see ``branches``.
 
     only: the row of ``BRANCHES`` that is filled, with that of the other sign of A5; -1: all.
@@ -113,43 +112,52 @@ def branches_at(lengths, position, rotation, near_a4, q, distance, only=-1):
     """
     d1, a1, a2, forearm, d6, elbow_offset = lengths
     x, y = position[0] - d6 * rotation[0, 0], position[1] - d6 * rotation[1, 0]
-    height, far = position[2] - d6 * rotation[2, 0] - d1, np.hypot(x, y)
-    wrist = np.empty((3, 3))
+    height, far = position[2] - d6 * rotation[2, 0] - d1, math.hypot(x, y)
     for shoulder in range(2):
         if only >= 0 and only // 4 != shoulder:
             continue
         side = 1.0 - 2.0 * shoulder
         radius = side * far - a1
-        distance[4 * shoulder : 4 * shoulder + 4] = np.hypot(radius, height)
+        for branch in range(4 * shoulder, 4 * shoulder + 4):
+            distance[branch] = math.hypot(radius, height)
         cosine = (radius**2 + height**2 - a2**2 - forearm**2) / (2 * a2 * forearm)
         if not abs(cosine) < 1.0 + 1e-12:
             continue
-        q1 = wrapped(-np.arctan2(side * y, side * x))
-        bend = np.arccos(min(1.0, max(-1.0, cosine)))
+        q1 = wrapped(-math.atan2(side * y, side * x))
+        bend = math.acos(min(1.0, max(-1.0, cosine)))
         for elbow in range(2):
             if only >= 0 and only // 2 % 2 != elbow:
                 continue
             beta = -bend if elbow == 0 else bend  # angle of the forearm against the upper arm, counted upwards
-            lead = np.arctan2(forearm * np.sin(beta), a2 + forearm * np.cos(beta))
-            q2, q3 = wrapped(lead - np.arctan2(height, radius)), wrapped(elbow_offset - beta)
-            s1, c1, s, c = np.sin(q1), np.cos(q1), np.sin(q2 + q3), np.cos(q2 + q3)
-            for j in range(3):  # R36 = (Rz(-A1) Ry(A2 + A3))^T R
-                wrist[0, j] = c1 * c * rotation[0, j] - s1 * c * rotation[1, j] - s * rotation[2, j]
-                wrist[1, j] = s1 * rotation[0, j] + c1 * rotation[1, j]
-                wrist[2, j] = c1 * s * rotation[0, j] - s1 * s * rotation[1, j] + c * rotation[2, j]
+            lead = math.atan2(forearm * math.sin(beta), a2 + forearm * math.cos(beta))
+            q2, q3 = wrapped(lead - math.atan2(height, radius)), wrapped(elbow_offset - beta)
+            s1, c1, s, c = math.sin(q1), math.cos(q1), math.sin(q2 + q3), math.cos(q2 + q3)
+            x0, y0, z0 = _below_elbow(rotation[:, 0], s1, c1, s, c)
+            _, y1, z1 = _below_elbow(rotation[:, 1], s1, c1, s, c)
+            _, y2, z2 = _below_elbow(rotation[:, 2], s1, c1, s, c)
             q4 = near_a4
             # below this sine of A5, the pose determines only the sum of A4 and A6
-            if np.hypot(wrist[1, 0], wrist[2, 0]) >= 1e-12:
-                q4 = np.arctan2(-wrist[1, 0], -wrist[2, 0])
-            s4, c4 = np.sin(q4), np.cos(q4)  # A5 and A6 from Rx(A4) R36 = Ry(A5) Rx(-A6): right for any A4 where A5 = 0
-            q5 = np.arctan2(-(s4 * wrist[1, 0] + c4 * wrist[2, 0]), wrist[0, 0])
-            q6 = np.arctan2(c4 * wrist[1, 2] - s4 * wrist[2, 2], c4 * wrist[1, 1] - s4 * wrist[2, 1])
+            if math.hypot(y0, z0) >= 1e-12:
+                q4 = math.atan2(-y0, -z0)
+            s4, c4 = (
+                math.sin(q4),
+                math.cos(q4),
+            )  # A5 and A6 from Rx(A4) R36 = Ry(A5) Rx(-A6): right for any A4 where A5 = 0
+            q5 = math.atan2(-(s4 * y0 + c4 * z0), x0)
+            q6 = math.atan2(c4 * y2 - s4 * z2, c4 * y1 - s4 * z1)
             row = 4 * shoulder + 2 * elbow
             # one by one: Numba compiles the sentence on shapes of a slice for seconds
             q[row, 0], q[row, 1], q[row, 2], q[row, 3], q[row, 4], q[row, 5] = q1, q2, q3, q4, q5, q6
             for j in range(3):
                 q[row + 1, j] = q[row, j]
             q[row + 1, 3], q[row + 1, 4], q[row + 1, 5] = wrapped(q4 + np.pi), -q5, wrapped(q6 + np.pi)
+
+
+@inner
+def _below_elbow(column, s1, c1, s, c):
+    """Return a column of R36 = (Rz(-A1) Ry(A2 + A3))^T R from that of R."""
+    x, y, z = column[0], column[1], column[2]
+    return c1 * c * x - s1 * c * y - s * z, s1 * x + c1 * y, c1 * s * x - s1 * s * y + c * z
 
 
 def _reach(arm: Arm) -> tuple[float, float]:
@@ -188,30 +196,31 @@ def _along(arm: Arm, mount: Mount, path: Pose, seed: np.ndarray) -> np.ndarray:
     beta, radius = elbow_and_reach(arm, first)
     row = (0 if radius >= 0 else 4) + (0 if _wrapped(beta) <= 0 else 2)  # in BRANCHES, with A5 > 0
     flange = path @ mount.pose.inverse()
-    position, rotation = map(np.ascontiguousarray, (flange.position, flange.rotation))
+    batch = flange.position.shape[:1]
+    position, rotation = rows_of(flange.position, batch, 1), rows_of(flange.rotation, batch, 2)
     q = np.empty((len(position), 6))
     q[0] = first
-    lost, distance = _follow(lengths_of(arm), row, position, rotation, q)
+    every, away = np.full((8, 6), np.nan), np.zeros(8)
+    lost, distance = _follow(lengths_of(arm), row, position, rotation, every, away, first.copy(), q)
     if lost:
         raise ReachError(distance, _reach(arm), (lost,))
     return q
 
 
-@njit(cache=True, nogil=True)
-def _follow(lengths, row, position, rotation, q):
+@compiled
+def _follow(lengths, row, position, rotation, every, distance, last, q):
     """Fill the postures (n, 6) after the first one without jumps; return the first one out of reach, 0 without, and the
     distance of its wrist centre from axis 2 [m].
 
-    A4 stays where A5 = 0. Where the path leads through A5 = 0, A5 changes its sign.
+    A4 stays where A5 = 0. Where the path leads through A5 = 0, A5 changes its sign. every (8, 6), distance (8,): of
+    ``branches_at``; last (6,): the first posture, changed.
     """
-    every, distance = np.full((8, 6), np.nan), np.zeros(8)
     sign = 1.0 if q[0, 4] >= 0.0 else -1.0
-    last = q[0].copy()  # with A5 > 0
-    if sign < 0.0:
+    if sign < 0.0:  # the last posture is that with A5 > 0
         last[3], last[4], last[5] = last[3] + np.pi, -last[4], last[5] + np.pi
     for k in range(1, len(q)):
         every[row, 0] = np.nan
-        branches_at(lengths, position[k], rotation[k], last[3], every, distance, row)
+        branches_at(lengths, position[k], rotation[k], last[3], row, every, distance)
         if not np.isfinite(every[row, 0]):
             return k, distance[row]
         step = flip = 0.0
@@ -225,5 +234,5 @@ def _follow(lengths, row, position, rotation, q):
             angle = last[j]
             if sign < 0.0 and j > 2:
                 angle = -last[j] if j == 4 else last[j] + np.pi
-            q[k, j] = angle - 2 * np.pi * np.round((angle - q[k - 1, j]) / (2 * np.pi))
+            q[k, j] = angle - 2 * np.pi * np.rint((angle - q[k - 1, j]) / (2 * np.pi))
     return 0, 0.0

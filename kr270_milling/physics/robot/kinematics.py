@@ -13,8 +13,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
+from kr270_milling.base.compiled import compiled
 from kr270_milling.base.frames import Pose
 from kr270_milling.physics.robot.arm import AXES, Arm, Mount
 from kr270_milling.physics.robot.errors import SingularityError
@@ -41,7 +41,7 @@ class LinkFrames:
         return self.nodes[..., [0] * base + list(range(6)), :] if base else self.nodes[..., :6, :]
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def jacobian_column(ax, ay, az, rx, ry, rz):
     """j = a x r, translations of a column of the Jacobian: joint axis a, tool point r from the axis [m/rad]."""
     return ay * rz - az * ry, az * rx - ax * rz, ax * ry - ay * rx
@@ -67,7 +67,7 @@ def cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return out
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _cross(a, b, out):
     for n in range(len(out)):
         out[n, 0], out[n, 1], out[n, 2] = jacobian_column(a[n, 0], a[n, 1], a[n, 2], b[n, 0], b[n, 1], b[n, 2])
@@ -97,6 +97,7 @@ def forward(arm: Arm, mount: Mount, q) -> LinkFrames:
         np.append(base, TURNS),
         np.append(np.ones(base.size), SIGNS),
         np.array(arm.link_vectors),
+        np.empty((3, 3)),
         rotations.reshape(-1, 6, 3, 3),
         axes.reshape(-1, turns, 3),
         nodes.reshape(-1, 7, 3),
@@ -105,15 +106,14 @@ def forward(arm: Arm, mount: Mount, q) -> LinkFrames:
     return LinkFrames(rotations, nodes, axes, flange, flange @ mount.pose, flange.apply(mount.mass_centre))
 
 
-@njit(cache=True, nogil=True)
-def _chain(cosines, sines, turns, signs, links, rotations, axes, nodes):
+@compiled
+def _chain(cosines, sines, turns, signs, links, turned, rotations, axes, nodes):
     """Turn about one coordinate axis after the other: rotations and ends of the links, and the axes of the turns.
 
-    cosines, sines (n, t): of n postures; turns, signs (t,); links (6, 3). Filled: rotations (n, 6, 3, 3),
-    axes (n, t, 3), nodes (n, 7, 3), whose first stays 0.
+    cosines, sines (n, t): of n postures; turns, signs (t,); links (6, 3); turned (3, 3): scratch. Filled:
+    rotations (n, 6, 3, 3), axes (n, t, 3), nodes (n, 7, 3), whose first stays 0.
     """
     base = len(turns) - len(links)
-    turned = np.empty((3, 3))
     for p in range(len(cosines)):
         for i in range(3):  # one by one: Numba compiles the sentence on shapes of a slice for seconds
             for j in range(3):

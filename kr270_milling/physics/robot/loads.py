@@ -10,8 +10,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
+from kr270_milling.base.compiled import compiled
 from kr270_milling.physics.robot.arm import Arm, GravityCompensator, Mount
 from kr270_milling.physics.robot.kinematics import LinkFrames, cross, rows_of
 
@@ -117,7 +117,7 @@ def load_hessian(frames: LinkFrames, wrench: np.ndarray, loads: LinkLoads, masse
     return bent
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _first_moments(nodes, mount, mass, out):
     """Fill the first moments of the masses beyond each node (n, 7, 3), with the mount (n, 3), about that node."""
     for p in range(len(out)):
@@ -129,7 +129,7 @@ def _first_moments(nodes, mount, mass, out):
                 moment += mass[i] * nodes[p, i, axis]
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _bend(axes, pulled, twisted, out):
     """a_i . pulled_k at (i, k) and (k, i), i <= k, and twisted_k . a_i more at (k, i), i < k; each (n, k, 3)."""
     for p in range(len(out)):

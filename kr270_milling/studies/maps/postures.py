@@ -47,7 +47,7 @@ def _fill(lengths, spring, middle, soft, place, position, rotation, force, q, de
     distance = np.empty(8)
     for k in range(len(position)):
         p, flange = place[k], rotation[k]
-        branches_at(lengths, position[k], flange, middle, q[k], distance)
+        branches_at(lengths, position[k], flange, middle, -1, q[k], distance)
         x, y, z = position[k] - d6 * flange[:, 0]
         for both in range(0, 8, 2):
             q1, q2, q3, q4 = q[k, both, :4]
