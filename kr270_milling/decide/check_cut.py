@@ -185,7 +185,8 @@ def _meet_tilted(
     if core:
         bodies = [("core", cylinder(core, 0.0)), *bodies]
     near = [position[:, 2] + lowest_point(body[:1, 2:4], axes) < top for _, body in bodies]
-    rapid = (series > 0) & (position[:, 2] + lowest_point(outline(tool), axes) < top)
+    rapid = series > 0
+    rapid[rapid] = position[rapid, 2] + lowest_point(outline(tool), axes[rapid]) < top
     move = np.diff(position, axis=0, prepend=position[:1])
     across, along = _split(move, axes)
     way = np.linalg.norm(move, axis=1)
