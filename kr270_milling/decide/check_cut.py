@@ -22,7 +22,7 @@ from kr270_milling.decide.height_map import ROUNDING, height_map, lower, lower_a
 from kr270_milling.path.trajectory import Trajectory
 from kr270_milling.physics.cutting import EngagementCut, Stock
 from kr270_milling.physics.cutting.contact import below_top, bodies_of, contact, lowest_point
-from kr270_milling.physics.cutting.engagement import RIM
+from kr270_milling.physics.cutting.engagement import RIM, SWING
 from kr270_milling.physics.cutting.profile import cutter_of, cylinder, outline
 from kr270_milling.physics.cutting.tilted import FLAT
 from kr270_milling.physics.motion.milling_pass import PassResult
@@ -103,7 +103,7 @@ def engagement(cell: Cell, margin: float, ran: ScoredPass | None = None) -> Enga
         for _, body in bodies:
             lowest = np.minimum(lowest, position[:, 2] + lowest_point(body[:1, 2:4], axes))
         margins = np.stack([max(margin, ROUNDING) + sideways, margin + lengthwise])
-        _meet_tilted(cell, np.hstack([moved, axes]), series, margins, core, bodies, met)
+        _meet_tilted(cell, np.hstack([moved, axes]), block, series, margins, core, bodies, met)
         if ran is None:
             _meet_above(cell, np.hstack([position, axes]), rapid, margins[0], inner)
     else:
@@ -160,6 +160,7 @@ def _split(vectors: np.ndarray, axes: np.ndarray) -> tuple[np.ndarray, np.ndarra
 def _meet_tilted(
     cell: Cell,
     poses: np.ndarray,
+    block: np.ndarray,
     series: np.ndarray,
     margins: np.ndarray,
     core: float,
@@ -169,7 +170,8 @@ def _meet_tilted(
     """Fill ``met`` with what a tilted tool meets on the way to each pose (m, 6), on the map of its cut.
 
     A series of rapid moves is compared with the material before the series. The flutes are compared with the material
-    before the tool cuts it, shank and holder with what the tool leaves; at corners and at every eighth place.
+    before the tool cuts it, shank and holder with what the tool leaves; at corners and at every eighth place. The map
+    is lowered in straight steps of a node.
     """
     depth, inner, volume, sunk, shank, holder = met
     tool, top, stock = cell.tool, float(cell.stock.max[2]), _coarse(cell)
@@ -182,10 +184,15 @@ def _meet_tilted(
     if core:
         bodies = [("core", cylinder(core, 0.0)), *bodies]
     near = [position[:, 2] + lowest_point(body[:1, 2:4], axes) < top for _, body in bodies]
-    rapid = (series > 0) & (position[:, 2] + lowest_point(outline(tool), axes) < top)
+    rapid = series > 0
+    rapid[rapid] = position[rapid, 2] + lowest_point(outline(tool), axes[rapid]) < top
     move = np.diff(position, axis=0, prepend=position[:1])
     across, along = _split(move, axes)
     way = np.linalg.norm(move, axis=1)
+    turn = np.linalg.norm(np.diff(axes, axis=0, prepend=axes[:1]), axis=1)
+    gone = np.cumsum(way + SWING * cutter[-1, 2] * turn)  # of the flutes; the holder moves further
+    cuts = np.diff(gone // stock.grid_step, append=-1.0) != 0.0
+    cuts[:-1] |= block[1:] != block[:-1]
     every, corner = 8, 0.9  # cosine of a turn of the path
     stops = np.arange(len(poses)) % every == 0
     stops[:-1] |= np.einsum("ij,ij->i", move[1:], move[:-1]) < corner * way[1:] * way[:-1]
@@ -211,8 +218,9 @@ def _meet_tilted(
                         values = shank if name == "shank" else holder
                         values[part] = np.maximum(values[part], over)
             if early:
-                steps = np.zeros(last + 1 - first, np.int64)
-                volume[part] = cut.along(position[first : last + 1], steps, axes=axes[first : last + 1])[2][1:]
+                rows = np.r_[first, first + 1 + np.flatnonzero(cuts[first + 1 : last]), last]
+                removed = cut.along(position[rows], np.zeros(len(rows), np.int64), axes=axes[rows])[2]
+                volume[part] = np.diff(np.interp(gone[first : last + 1], gone[rows], np.cumsum(removed)))
         first = last
     mean = volume / np.maximum(2.0 * float(tool.radii.max()) * way, 1e-12)
     flutes = tool.flute_length or math.inf

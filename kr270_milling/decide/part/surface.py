@@ -99,7 +99,8 @@ def machined(cut: CutModel, positions: np.ndarray, clock: Clock, run: Trajectory
     steps, axes = np.arange(len(positions)), None
     if run is not None and cut.tilts:
         axes = tool_axis(run.sample_orientation(clock.stamp(steps)))
-    cut.along(positions, steps * clock.micro_steps, axes=axes)
+    # the mean force is not wanted: its spindle does not turn
+    cut.along(positions, steps * (clock.micro_steps if cut.teeth else 0), axes=axes)
     return cut
 
 

@@ -12,6 +12,7 @@ distance back: at 60 deg it is 0.12 mm of a map of 0.1 mm.
 
 from __future__ import annotations
 
+import functools
 import math
 from typing import NamedTuple
 
@@ -58,7 +59,7 @@ def bodies_of(tool: Tool) -> list[tuple[str, np.ndarray]]:
 def lowest_point(points: np.ndarray, axes: np.ndarray) -> np.ndarray:
     """Return the height of the lowest of the circles (radius, height) about the axis above the tip [m], (n,)."""
     across = np.hypot(axes[:, 0], axes[:, 1])
-    return np.min([h * axes[:, 2] - r * across for r, h in points], axis=0)
+    return functools.reduce(np.minimum, (h * axes[:, 2] - r * across for r, h in points))
 
 
 def contact(cut: CutModel, body: np.ndarray, poses: np.ndarray, wide=0.0, deep=0.0) -> np.ndarray:

@@ -99,10 +99,10 @@ def engage(s, p, flat, profile, tilts, upright, poses, steps, wrench, torque, vo
                 used = 2 * p.widths.size, 0, p.profile.pieces.shape[0] - 1
                 motion, frame = (0.0, 0.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
                 if upright is not None and not tilted:
-                    motion, frame, used = lower_upright(s, p, x0, y0, z0, x1, y1, z1)
+                    motion, frame, used = lower_upright(s, p, x0, y0, z0, x1, y1, z1, passes)
                 if tilts is not None and tilted:
-                    motion, frame = lower_tilted(s, p, pose_from, pose_to, a, b)
-                if s.floats[LEVEL_SUM] > removed:
+                    motion, frame = lower_tilted(s, p, pose_from, pose_to, a, b, passes)
+                if passes > 0.0 and s.floats[LEVEL_SUM] > removed:
                     load = edge_load(s, p, motion, frame, passes, used, tilted, mean)
             moment += load[0]
             height += load[1]

@@ -107,7 +107,7 @@ def lower_nodes(s, p, base, first):
 
 
 @inlined
-def lower_upright(s, p, x0, y0, z0, x1, y1, z1):
+def lower_upright(s, p, x0, y0, z0, x1, y1, z1, passes):
     """Lower the nodes on a straight move of at most a quarter of the radius; return motion, frame and ``used``."""
     deepest, levels = p.top - min(z0, z1), 1.0 / p.level_step
     dx, dy, sinks = x1 - x0, y1 - y0, (z0 - z1) * levels
@@ -121,7 +121,8 @@ def lower_upright(s, p, x0, y0, z0, x1, y1, z1):
     if deepest <= 1e-3 * p.level_step or outside(p, x1, y1):
         remember(s, x1, y1, np.int64(0))
     else:
-        lowest = _lower(s, p, x0, y0, m / p.spacing, ahead_x, ahead_y, (p.top - z0) * levels, sinks, behind, highest)
+        depth = (p.top - z0) * levels
+        lowest = _lower(s, p, x0, y0, m / p.spacing, ahead_x, ahead_y, depth, sinks, behind, highest, passes)
         remember(s, x1, y1, np.int64(max((p.top - z1) * levels, 0.0)))
     angles = 2 * p.widths.size if behind or sinks < 0.0 else p.widths.size
     frame = (ahead_x, ahead_y, 0.0, -ahead_y, ahead_x, 0.0, 0.0, 0.0, 1.0)
@@ -129,7 +130,7 @@ def lower_upright(s, p, x0, y0, z0, x1, y1, z1):
 
 
 @inlined
-def _lower(s, p, x0, y0, m, ahead_x, ahead_y, below, sinks, behind, highest):
+def _lower(s, p, x0, y0, m, ahead_x, ahead_y, below, sinks, behind, highest, passes):
     """Lower the nodes that the tool reaches on its way of m nodes from (x0, y0), ``below`` the top [levels].
 
     sinks: depth at the end beyond that at the start [levels]; behind: nodes behind the start may be lowered too;
@@ -187,12 +188,12 @@ def _lower(s, p, x0, y0, m, ahead_x, ahead_y, below, sinks, behind, highest):
     step = (m, ahead_x, ahead_y, below, sinks, behind, slope, inverse, r, entry, p.spacing * levels)
     lowest = np.uint64(p.profile.pieces.shape[0])
     for k in range(count):
-        lowest = min(lowest, _run(s, p, runs[k], u0, v0, step))
+        lowest = min(lowest, _run(s, p, runs[k], u0, v0, step, passes))
     return lowest
 
 
 @inlined
-def _run(s, p, run, u0, v0, step):
+def _run(s, p, run, u0, v0, step, passes):
     """Lower the nodes of one run, add what they lose to their bins, and return the lowest piece of these.
 
     run: i, first and last j, place of j = 0 in the pool, whether the rim is near, distance to the way [nodes].
@@ -261,6 +262,8 @@ def _run(s, p, run, u0, v0, step):
         meets = along > zero or (behind and along * along + beside * beside < reach)
         work[GOAL + n] = goal if meets and np.float32(n) > begin and np.float32(n) < stop else -one
     lower_nodes(s, p, base, first)
+    if passes == 0.0:  # no force, no bins
+        return np.uint64(shape.pieces.shape[0])
     for n in range(RUN):
         level = below_ + half * work[SHARE + n] * sinks_
         work[END + n], work[GOAL + n] = level - work[REST + n], level - work[GOAL + n]
@@ -398,7 +401,7 @@ def edge_load(s, p, motion, frame, passes, used, tilted, wrench):
                 through -= 0.0 if k < bins else volume_c
                 volume_c = 0.0
             volume_c += left_c
-            if volume <= 1e-9 or passes == 0.0:  # [levels], or rounding
+            if volume <= 1e-9:  # [levels], or rounding
                 continue
             if volume > left:
                 own = b

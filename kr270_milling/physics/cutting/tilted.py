@@ -374,7 +374,7 @@ def _way(p, first, second):
 
 
 @inlined
-def lower_tilted(s, p, pose_from, pose_to, a, b):
+def lower_tilted(s, p, pose_from, pose_to, a, b, passes):
     """Lower the nodes that the tool reaches between the shares a and b of a step; return motion and frame.
 
     pose_from, pose_to: tip and axis, (6,).
@@ -435,7 +435,7 @@ def lower_tilted(s, p, pose_from, pose_to, a, b):
                     return motion, frame
                 place = ((np.int64(slot) << 16) | ((i & 255) << 8)) - (j & ~255)
             reached = True
-            _lower_run(s, p, step, frame, tip_z, j, place, x, start)
+            _lower_run(s, p, step, frame, tip_z, j, place, x, start, passes)
         if reached and not reaches:  # what is below the top is convex: the rows beyond do not meet it either
             break
     return motion, frame
@@ -570,8 +570,8 @@ def _look_at_run(s, p, step, tip_z, x, start, low, high, near, known, follows):
 
 
 @inlined
-def _lower_run(s, p, step, frame, tip_z, low, base, x, start):
-    """Lower the nodes of a run to the depths of ``_look_at_run``, and add what they lose to their bins."""
+def _lower_run(s, p, step, frame, tip_z, low, base, x, start, passes):
+    """Lower the nodes of a run to the depths of ``_look_at_run``; teeth that pass: add what they lose to their bins."""
     place, work, first = s.edge.place, s.edge.work, low & ~(RUN - 1)
     depth, levels = p.top - tip_z, 1.0 / p.level_step
     side_x, side_y = _beside(step)
@@ -593,6 +593,8 @@ def _lower_run(s, p, step, frame, tip_z, low, base, x, start):
         place[MIDDLE + n] = goal
         work[GOAL + n] = part * part * fall if abs(goal) < fall else goal
     lower_nodes(s, p, base, first)
+    if passes == 0.0:
+        return
     hashed = np.uint32(base >> 8) * SCATTER_X + np.uint32(first) * SCATTER_Y
     jitter = np.uint32(base >> 8) * SCATTER_U + np.uint32(first) * SCATTER_V
     ux, uy = step[12], step[13]
