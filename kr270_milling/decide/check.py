@@ -229,7 +229,7 @@ def _of_program(cell: Cell, run: Trajectory, robot_program: Program) -> tuple[Pr
         _, layout, parts, _ = drafted(cell, run, robot_program.motion)
     ends = end_violations(cell, run, parts)
     joints_at_knots.cache_clear()  # of a long program they take 100 MB
-    return layout and program_blocks(robot_program, path_of(cell).target, run, *layout), ends
+    return program_blocks(robot_program, path_of(cell).target, run, *layout) if layout else None, ends
 
 
 def end_violations(cell: Cell, run: Trajectory, parts: Sequence[tuple[int, int]]) -> list[Finding]:

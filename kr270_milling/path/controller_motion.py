@@ -185,9 +185,9 @@ def _rounding(
 def natural_slopes(travelled, points, stops):
     """Slopes over u, (p - 1, 2, 3), at both ends of the spans of natural cubic splines, one spline from stop to stop.
 
-    travelled: distance to each point (p,). Equal slopes and curvatures inside of a block, no curvature at its ends. Row
-    n of the tridiagonal system: a s_(n-1) + 2 s_n + b s_(n+1) = 3 (a c_(n-1) + b c_n), c the slopes of the chords, a + b
-    = 1. With h the lengths of the spans a / b = h_n / h_(n-1); a = 0 at the start of a block, b = 0 at its end.
+    travelled: distance to each point (p,). Equal slopes and curvatures inside of a block, no curvature at its ends.
+    Row n of the system: a s_(n-1) + 2 s_n + b s_(n+1) = 3 (a c_(n-1) + b c_n), c the slopes of the chords, a + b = 1.
+    With h the lengths of the spans a / b = h_n / h_(n-1); a = 0 at the start of a block, b = 0 at its end.
     """
     last, start = len(points) - 1, 0
     ratio, slope, slopes = np.zeros(last + 1), np.zeros((last + 1, 3)), np.empty((last, 2, 3))

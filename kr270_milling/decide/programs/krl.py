@@ -97,7 +97,7 @@ def trajectory_hash(trajectory: Trajectory) -> str:
     """SHA-256 over the numbers of a trajectory."""
     digest = hashlib.sha256(trajectory.frame.encode())
     for array in (trajectory.time_ns, trajectory.position, trajectory.quaternion, trajectory.velocity):
-        digest.update(b"-" if array is None else np.ascontiguousarray(array, array.dtype.newbyteorder("<")))
+        digest.update(b"-" if array is None else np.ascontiguousarray(array, array.dtype.newbyteorder("<")).data)
     return digest.hexdigest()
 
 

@@ -377,7 +377,7 @@ def _errors(
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def _farthest(travelled, position, first, knots, slopes, spans, away):
-    """Fill the largest distance of the spline from positions, (m, 3), of a knot to the next one, for all knots of spans.
+    """Fill the largest distance of the spline from positions (m, 3), from a knot to the next one, for knots of spans.
 
     travelled, first: see ``places_on_program`` and ``_errors``; slopes: of ``natural_slopes``.
     """
