@@ -185,7 +185,7 @@ def _rounding(
 def natural_slopes(travelled, points, stops):
     """Slopes over u, (p - 1, 2, 3), at both ends of the spans of natural cubic splines, one spline from stop to stop.
 
-    travelled: distance to each point (p,). Equal slopes and curvatures inside of a block, no curvature at its ends.
+    travelled: distance to each point (p,). Equal slopes and curvatures inside of a block, none at both ends.
     Row n of the system: a s_(n-1) + 2 s_n + b s_(n+1) = 3 (a c_(n-1) + b c_n), c the slopes of the chords, a + b = 1.
     With h the lengths of the spans a / b = h_n / h_(n-1); a = 0 at the start of a block, b = 0 at its end.
     """
