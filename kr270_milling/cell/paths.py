@@ -181,14 +181,6 @@ class _Programmed:
         """The tool path under the limits of controller and joints; None without a program."""
         return None
 
-    @property
-    def knot_source(self) -> tuple[np.ndarray, tuple[str, ...]]:
-        """Line of the program and name of the feature of each knot; empty without a program."""
-        if self.timed is None:
-            return np.zeros(0, np.int64), ()
-        toolpath, block = self.timed.toolpath, self.timed.block
-        return toolpath.line[block], tuple(toolpath.features[n] for n in toolpath.feature[block].tolist())
-
     def line_at(self, time_ns: np.ndarray) -> np.ndarray:
         """Line of the program at times (n,) [ns]; 0: no program."""
         return self._of_block(time_ns, "line")

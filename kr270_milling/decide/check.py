@@ -189,8 +189,7 @@ def check(
     if reachable and reference is None and path.target is not run:
         run = path.target  # slowed down to what the joints can do
         results, _ = arm_violations(arm_of(cell), cell.limits, run)
-    del joints  # of a long program they take 100 MB
-    joints_at_knots.cache_clear()
+    del joints  # ``_of_program`` frees them
     results += [*input_violations(cell), *more]
     if reachable:
         planned = fed.trajectory if fed else path.target
@@ -206,7 +205,6 @@ def check(
             ran, cut = _cut(cell, run, ran, contacts, progress)
             about["ran"], (about["blocks"], ends) = ran, size.result()
             results += [*links.result(), *cut, *ends]
-            joints_at_knots.cache_clear()
             if robot_program.motion == "LIN" and not robot_program.blend_distance and about["blocks"]:
                 results.append(violation("no blending", about["blocks"].points, int(path.target.standing.sum())))
             about["rapid_moves"] = tuple(placed(path, run, f) for f in cut if f.what == "rapid in material")
@@ -226,11 +224,12 @@ def _of_program(cell: Cell, run: Trajectory, robot_program: Program) -> tuple[Pr
 
     With the findings about approach and retract of its parts.
     """
+    layout, parts = None, [(0, len(run) - 1)]
     with contextlib.suppress(TrajectoryError):
         _, layout, parts, _ = drafted(cell, run, robot_program.motion)
-        size = program_blocks(robot_program, path_of(cell).target, run, *layout)
-        return size, end_violations(cell, run, parts)
-    return None, end_violations(cell, run, [(0, len(run) - 1)])
+    ends = end_violations(cell, run, parts)
+    joints_at_knots.cache_clear()  # of a long program they take 100 MB
+    return program_blocks(robot_program, path_of(cell).target, run, *layout) if layout else None, ends
 
 
 def end_violations(cell: Cell, run: Trajectory, parts: Sequence[tuple[int, int]]) -> list[Finding]:

@@ -79,6 +79,8 @@ def _joint_limits(arm: Arm, joints: np.ndarray) -> list[Finding]:
     results = []
     for axis, (low, high) in enumerate(zip(arm.joint_lower, arm.joint_upper, strict=True)):
         angle = joints[:, axis]
+        if low <= angle.min() and angle.max() <= high:
+            continue
         beyond = np.maximum(angle - high, low - angle)
         results += violations(
             "joint limit",

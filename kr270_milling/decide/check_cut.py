@@ -154,7 +154,8 @@ def _coarse(cell: Cell) -> Stock:
 def _split(vectors: np.ndarray, axes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the size of vectors (m, 3) across unit axes, and their part along the axes, (m,)."""
     along = np.einsum("ij,ij->i", vectors, axes)
-    return np.linalg.norm(vectors - along[:, None] * axes, axis=1), along
+    across = vectors - along[:, None] * axes
+    return np.sqrt(np.einsum("ij,ij->i", across, across)), along
 
 
 def _meet_tilted(

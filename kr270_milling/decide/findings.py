@@ -296,6 +296,8 @@ def violations(
     limits = np.broadcast_to(limit, len(value))
     rounding = 1e-5  # share of a limit that a value may lie above it: what was cut down to the limit is not beyond it
     over = ~(value <= limits * (1 + rounding)) if over is None else over
+    if not over.any():
+        return []
     points = np.arange(1, len(value) + 1) if points is None else points
     worst = np.where(np.isnan(value), np.inf, value) if worst is None else worst
     results = []

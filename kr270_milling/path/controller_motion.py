@@ -102,11 +102,11 @@ def places_on_program(
     [mxAutomation]; none at stops.
     """
     travelled = run.travelled
-    step, move = np.diff(travelled[knots])[:, None], np.diff(points, axis=0)
     if spline:
-        first, last = np.ascontiguousarray(step * _natural_slopes(step, move / step, stops))
-        _fill_places(travelled, knots, points, first, last, place := np.empty(run.position.shape))
+        slopes = natural_slopes(travelled[knots], points, stops)
+        _fill_places(travelled, knots, points, slopes, place := np.empty(run.position.shape))
         return place
+    step, move = np.diff(travelled[knots])[:, None], np.diff(points, axis=0)
     turn, normal = _arcs(points, auxiliary)
     across = np.sin(turn / 2) * np.cross(normal, move)
     first, last = ((np.cos(turn / 2) * move + sign * across) / np.sinc(turn / 2 / np.pi) for sign in (-1, 1))
@@ -125,8 +125,8 @@ def places_on_program(
 
 
 @compiled
-def _fill_places(travelled, knots, points, first, last, place):
-    """Fill the places (n, 3) at distances (n,) on the cubics between points; first, last: slopes of each over u."""
+def _fill_places(travelled, knots, points, slopes, place):
+    """Fill the places (n, 3) at distances (n,) on the cubics between points; slopes: of ``natural_slopes``."""
     k = 0
     for n in range(travelled.size):
         while k < knots.size - 2 and knots[k + 1] <= n:
@@ -134,7 +134,7 @@ def _fill_places(travelled, knots, points, first, last, place):
         start = travelled[knots[k]]
         u = (travelled[n] - start) / (travelled[knots[k + 1]] - start)
         for i in range(3):
-            move, a, b = points[k + 1, i] - points[k, i], first[k, i], last[k, i]
+            move, a, b = points[k + 1, i] - points[k, i], slopes[k, 0, i], slopes[k, 1, i]
             place[n, i] = points[k, i] + u * a + u * u * (3 * move - 2 * a - b) + u * u * u * (a + b - 2 * move)
 
 
@@ -181,36 +181,35 @@ def _rounding(
     return way
 
 
-def _natural_slopes(step: np.ndarray, slope: np.ndarray, stops: np.ndarray) -> np.ndarray:
-    """Slopes (2, p - 1, 3) at both ends of the spans of natural cubic splines, one spline from stop to stop.
+@njit(cache=True, error_model="numpy", nogil=True)
+def natural_slopes(travelled, points, stops):
+    """Slopes over u, (p - 1, 2, 3), at both ends of the spans of natural cubic splines, one spline from stop to stop.
 
-    step (p - 1, 1): lengths of the spans; slope (p - 1, 3): mean slopes. Two unknowns for each span, so that a stop has
-    a slope on both sides: equal slopes and curvatures inside of a block, no curvature at its ends.
+    travelled: distance to each point (p,). Equal slopes and curvatures inside of a block, none at both ends.
+    Row n of the system: a s_(n-1) + 2 s_n + b s_(n+1) = 3 (a c_(n-1) + b c_n), c the slopes of the chords, a + b = 1.
+    With h the lengths of the spans a / b = h_n / h_(n-1); a = 0 at the start of a block, b = 0 at its end.
     """
-    count = len(step)
-    ends = np.concatenate([[True], stops[1:-1], [True]])
-    begins, closes = ends[:-1], ends[1:]  # of the spans
-    h = step[:, 0]
-    # unknowns in the order of the path: the first and the last slope of span 0, of span 1, ...
-    bands, right = np.zeros((5, 2 * count)), np.zeros((2 * count, 3))
-
-    def put(row: np.ndarray, offset: int, value) -> None:
-        bands[2 - offset, row + offset] = value
-
-    k = np.flatnonzero(begins)
-    put(2 * k, 0, 2.0)
-    put(2 * k, 1, 1.0)
-    right[2 * k] = 3.0 * slope[k]
-    k = np.flatnonzero(~begins)  # its first slope is the last one of the span before
-    put(2 * k, 0, 1.0)
-    put(2 * k, -1, -1.0)
-    k = np.flatnonzero(closes)
-    put(2 * k + 1, 0, 2.0)
-    put(2 * k + 1, -1, 1.0)
-    right[2 * k + 1] = 3.0 * slope[k]
-    k = np.flatnonzero(~closes)  # equal curvatures at the end of span k and at the start of span k + 1
-    put(2 * k + 1, -1, h[k + 1])
-    put(2 * k + 1, 0, 2.0 * (h[k] + h[k + 1]))
-    put(2 * k + 1, 2, h[k])
-    right[2 * k + 1] = 3.0 * (h[k + 1, None] * slope[k] + h[k, None] * slope[k + 1])
-    return solve_banded((2, 2), bands, right).reshape(count, 2, 3).swapaxes(0, 1)
+    last, start = len(points) - 1, 0
+    ratio, slope, slopes = np.zeros(last + 1), np.zeros((last + 1, 3)), np.empty((last, 2, 3))
+    for end in range(1, last + 1):
+        if end < last and not stops[end]:
+            continue
+        for n in range(start, end + 1):
+            before = travelled[n] - travelled[n - 1] if n > start else 0.0
+            after = travelled[n + 1] - travelled[n] if n < end else 0.0
+            a = after / (before + after) if start < n < end else (1.0 if n == end else 0.0)
+            pivot = 2.0 - a * ratio[n - 1] if n > start else 2.0
+            ratio[n] = (1.0 - a) / pivot
+            for i in range(3):
+                value = 3.0 * (1.0 - a) * (points[n + 1, i] - points[n, i]) / after if n < end else 0.0
+                if n > start:
+                    value += a * (3.0 * (points[n, i] - points[n - 1, i]) / before - slope[n - 1, i])
+                slope[n, i] = value / pivot
+        for n in range(end - 1, start - 1, -1):
+            step = travelled[n + 1] - travelled[n]
+            for i in range(3):
+                slopes[n, 1, i] = step * slope[n + 1, i]
+                slope[n, i] -= ratio[n] * slope[n + 1, i]
+                slopes[n, 0, i] = step * slope[n, i]
+        start = end
+    return slopes

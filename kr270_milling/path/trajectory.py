@@ -161,7 +161,8 @@ class Trajectory:
 
     def feed(self, time_ns) -> np.ndarray:
         """Return the speed of the tool tip [m/s] at times [ns] of any shape."""
-        return np.linalg.norm(self.sample_velocity(time_ns), axis=-1)
+        velocity = self.sample_velocity(time_ns)
+        return np.sqrt(np.einsum("...j,...j->...", velocity, velocity))
 
     def sample_orientation(self, time_ns) -> np.ndarray:
         """Return quaternions x, y, z, w, (..., 4), at times [ns] of any shape."""
@@ -337,7 +338,8 @@ def turned(first: np.ndarray, second: np.ndarray) -> np.ndarray:
 
 def chords(run: Trajectory) -> np.ndarray:
     """Return the distances [m], (n - 1,), between the knots; LEVER times the angle where the tool turns in place."""
-    length = np.linalg.norm(np.diff(run.position, axis=0), axis=1)
+    move = np.diff(run.position, axis=0)
+    length = np.sqrt(np.einsum("ij,ij->i", move, move))  # ``norm`` takes four times as long
     k = np.flatnonzero(length == 0)
     if run.turns and k.size:
         length[k] = LEVER * turned(run.quaternion[k], run.quaternion[k + 1])

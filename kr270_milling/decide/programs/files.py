@@ -277,10 +277,12 @@ def knot_feeds(path: CellPath, count: int) -> np.ndarray | None:
     return np.where(path.target.standing, np.nan, feed)
 
 
-def notes_of(path: CellPath, count: int) -> list[tuple[int, str]]:
-    """Return line and feature of each knot for comments; empty without a program."""
-    lines, features = path.knot_source
-    return krl_motion.knot_notes(lines, features) if len(lines) == count else []
+def notes_of(path: CellPath, count: int) -> tuple[np.ndarray, np.ndarray] | None:
+    """Return lines and features of ``count`` knots for comments, (n,); None for a trajectory of other knots."""
+    if path.timed is None or len(path.timed.block) != count:
+        return None
+    toolpath, block = path.timed.toolpath, path.timed.block
+    return toolpath.line[block], np.array(toolpath.features, object)[toolpath.feature[block]]
 
 
 def write_rsi_table(

@@ -92,11 +92,12 @@ class Setup:
         )
 
 
+@functools.lru_cache(maxsize=2)  # both programs state it, of parts each module
 def trajectory_hash(trajectory: Trajectory) -> str:
     """SHA-256 over the numbers of a trajectory."""
     digest = hashlib.sha256(trajectory.frame.encode())
     for array in (trajectory.time_ns, trajectory.position, trajectory.quaternion, trajectory.velocity):
-        digest.update(b"-" if array is None else np.ascontiguousarray(array, array.dtype.newbyteorder("<")).tobytes())
+        digest.update(b"-" if array is None else np.ascontiguousarray(array, array.dtype.newbyteorder("<")).data)
     return digest.hexdigest()
 
 
@@ -113,13 +114,13 @@ def program_files(
     setup: Setup,
     original: Trajectory,
     revised: Trajectory,
-    notes: Sequence[tuple[int, str]] = (),
+    notes: tuple[np.ndarray, np.ndarray] | None = None,
     feeds: np.ndarray | None = None,
 ) -> tuple[dict[str, list[str]], tuple[np.ndarray, np.ndarray, np.ndarray], list[tuple[int, int]]]:
     """Return the lines of all modules of both programs by name, the layout, and the parts: first and last knot of each.
 
     Layout: the knots that are points (p,), the auxiliary ones among them (p,), and the knots of stops (n,).
-    notes: of ``knot_notes``; feeds: of ``fixed_knots``; None: not known. Raises TrajectoryError for trajectories of
+    notes: of ``notes_of``; feeds: of ``fixed_knots``; None: not known. Raises TrajectoryError for trajectories of
     different knots, and for more points than the modules or the memory can hold.
     """
     if not np.array_equal(original.time_ns, revised.time_ns) or original.frame != revised.frame:

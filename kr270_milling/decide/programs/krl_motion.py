@@ -79,26 +79,25 @@ GAUSS = np.polynomial.legendre.leggauss(4)
 TURNED = 5e-5  #: [deg], a change of A, B or C that is written: 0.1 um at 0.1 m from the tip
 
 
-def knot_notes(lines: Sequence[int] | np.ndarray, features: Sequence[str]) -> list[tuple[int, str]]:
-    """Return line and feature of each knot, (n,), as the comments name them."""
-    names = {feature: printable_ascii(feature)[:WIDEST] for feature in set(features)}
-    return [(int(line), names[feature]) for line, feature in zip(lines, features, strict=True)]
-
-
-def point_comments(points: np.ndarray, notes: Sequence[tuple[int, str]], auxiliary: np.ndarray) -> list[str]:
+def point_comments(points: np.ndarray, notes: tuple[np.ndarray, np.ndarray] | None, auxiliary: np.ndarray) -> list[str]:
     """Return the comment before each point, (p,): its number, line and feature; empty for most points.
 
+    notes: lines and names of the features of the knots, (n,) each; None: not known.
     A comment is before the first point of a feature, and at the latest 10 points after a change of the line. The end of
     an arc, which is in the line of its auxiliary point, has none.
     """
     rare, often = 50, 10  # points from one comment to the next
     comments, noted, last = [], (0, ""), 0
-    for i, k in enumerate(points.tolist()):
-        line, feature = notes[k] if notes else (0, "")
+    lines, features = (array[points].tolist() for array in notes) if notes else ([0] * len(points), [""] * len(points))
+    for i, (k, line, feature) in enumerate(zip(points.tolist(), lines, features, strict=True)):
         other = line != noted[0]
         due = feature != noted[1] or i - last >= (often if other else rare) or (other and last == 0)
         if due and i and not auxiliary[i - 1]:
-            text = f"; XP{k + 1}" + f" line {line}" * bool(line) + f" ({feature})" * (feature != noted[1])
+            text = (
+                f"; XP{k + 1}"
+                + f" line {line}" * bool(line)
+                + f" ({printable_ascii(feature)[:WIDEST]})" * (feature != noted[1])
+            )
             noted, last = (line, feature), i
             comments.append(text)
         else:

@@ -11,6 +11,7 @@ another SCIRC, and SPL segments need a tenth fewer points with arcs between them
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -21,7 +22,7 @@ from numba import njit
 from kr270_milling.base.column import column, computed
 from kr270_milling.base.frames import rotation_from_quaternion
 from kr270_milling.cell.sections import Program
-from kr270_milling.path.controller_motion import places_on_program
+from kr270_milling.path.controller_motion import natural_slopes, places_on_program
 from kr270_milling.path.trajectory import LEVER, Trajectory, turned
 
 SHORT_NS = 30_000_000  #: [ns]: a block is shorter only where the tolerance needs it
@@ -336,37 +337,61 @@ def _errors(
     runs, first = [original] if revised is original else [original, revised], np.arange(len(stops))
     spline = program.motion == "SPLINE"
 
-    def errors(points: np.ndarray, auxiliary: np.ndarray | None = None) -> np.ndarray:
-        rests, worst = stops[points], np.zeros(len(stops))
-        points = first[points]
-        for run in runs:
-            places = run.position[points]
-            place = places_on_program(run, points, places, rests, spline, program.blend_distance, auxiliary)
-            _farthest(place, run.position, first, worst)
-            if run.turns:
-                written = Trajectory(run.time_ns[points], places, run.quaternion[points])
-                angle = turned(written.sample_orientation(run.time_ns[first]), run.quaternion[first])
-                worst = np.maximum(worst, LEVER * angle)
-        return worst
+    def unknown() -> list[tuple]:
+        return [(np.zeros(2, int), np.full((1, 2, 3), np.nan), np.zeros(len(stops))) for _ in runs]
 
+    def errors(points: np.ndarray, auxiliary: np.ndarray | None = None) -> np.ndarray:
+        rests, at, distances = stops[points], first[points], []
+        for i, run in enumerate(runs):
+            places = run.position[at]
+            if spline:  # spans with the points and slopes of the time before keep their errors
+                slopes = natural_slopes(run.travelled[at], places, rests)
+                before, known, away = latest[i]
+                k = np.minimum(np.searchsorted(before, points[:-1]), len(before) - 2)
+                same = (before[k] == points[:-1]) & (before[k + 1] == points[1:])
+                same &= (known[k] == slopes).all(axis=(1, 2))
+                _farthest(run.travelled, run.position, first, points, slopes, np.flatnonzero(~same), away)
+                latest[i] = points, slopes, away
+            else:
+                place = places_on_program(run, at, places, rests, False, program.blend_distance, auxiliary)
+                away = np.linalg.norm(place - run.position, axis=1)
+            distances.append(away)
+            if run.turns:
+                written = Trajectory(run.time_ns[at], places, run.quaternion[at])
+                angle = turned(written.sample_orientation(run.time_ns[first]), run.quaternion[first])
+                distances.append(LEVER * angle)
+        return functools.reduce(np.maximum, distances)
+
+    latest = unknown()
     if spline and original.velocity is not None and revised.velocity is not None:
         curves, middles = runs, original.time_ns[:-1] + np.diff(original.time_ns) // 2
         for near in (True, False):
             time_ns = _merged(original.time_ns, middles)
             first = np.searchsorted(time_ns, original.time_ns)
             runs = [Trajectory(time_ns, run.sample(time_ns), run.sample_orientation(time_ns)) for run in curves]
+            latest = unknown()
             if near and knots is not None:
                 middles = middles[errors(knots)[:-1] <= program.tolerance]
     return errors
 
 
-@njit(cache=True, nogil=True)
-def _farthest(place, position, first, worst):
-    """Raise worst (n,) to the largest distance of places (m, 3) from positions, from ``first`` (n,) to the next."""
-    for k in range(first.size):
-        end = first[k + 1] if k + 1 < first.size else len(place)
-        square = 0.0
-        for i in range(first[k], end):
-            x, y, z = place[i, 0] - position[i, 0], place[i, 1] - position[i, 1], place[i, 2] - position[i, 2]
-            square = max(square, x * x + y * y + z * z)
-        worst[k] = max(worst[k], math.sqrt(square))
+@njit(cache=True, error_model="numpy", nogil=True)
+def _farthest(travelled, position, first, knots, slopes, spans, away):
+    """Fill the largest distance of the spline from positions (m, 3), from a knot to the next one, for knots of spans.
+
+    travelled, first: see ``places_on_program`` and ``_errors``; slopes: of ``natural_slopes``.
+    """
+    for k in spans:
+        start, end = first[knots[k]], first[knots[k + 1]]
+        x, y, z = position[start]
+        a, b, move = slopes[k, 0], slopes[k, 1], position[end] - position[start]
+        bend, twist = 3.0 * move - 2.0 * a - b, a + b - 2.0 * move
+        for n in range(knots[k], knots[k + 1]):
+            square = 0.0
+            for i in range(first[n], first[n + 1]):
+                u = (travelled[i] - travelled[start]) / (travelled[end] - travelled[start])
+                dx = x + u * (a[0] + u * (bend[0] + u * twist[0])) - position[i, 0]
+                dy = y + u * (a[1] + u * (bend[1] + u * twist[1])) - position[i, 1]
+                dz = z + u * (a[2] + u * (bend[2] + u * twist[2])) - position[i, 2]
+                square = max(square, dx * dx + dy * dy + dz * dz)
+            away[n] = math.sqrt(square)

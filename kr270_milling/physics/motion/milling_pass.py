@@ -298,6 +298,8 @@ def run_pass(
     window = WINDOW // every * every
     state, wrench = np.zeros(model.states), np.zeros(6)
     tool = _poses(cut, reference, np.zeros(1, np.int64))
+    shapes = tool.shape[1:], (6,), (6,), (), (), ()
+    buffers = [np.zeros((min(n, window) + 1, *shape)) for shape in shapes]  # new ones would be mapped for each window
     count = math.ceil(n / every) + 1
     series = {name: np.zeros((count, *shape)) for name, shape in SERIES.items()}
     series["time_ns"] = np.zeros(count, np.int64)
@@ -321,9 +323,9 @@ def run_pass(
         stamps = clock.stamp(np.arange(begin, end + 1))
         poses = _poses(cut, reference, stamps)
         positions = poses[:, :3]
-        size = stamps.size
-        out = tuple(np.zeros((size, *shape)) for shape in (poses.shape[1:], (6,), (6,), (), (), ()))
-        out[0][0] = tool[-1]
+        buffers[0][0] = tool[-1]
+        out = tuple(buffer[: stamps.size] for buffer in buffers)
+        out[-1][:] = 0.0  # silent periods remove nothing
         ahead = stamps if begin == 0 else np.append(clock.stamp(np.array([begin - 1])), stamps)
         without = np.zeros(ahead.size, bool) if silent is None else silent_periods(silent(ahead))
         arm = (model.push(reference, stamps, begin, positions), model.arrays)
@@ -331,7 +333,7 @@ def run_pass(
             iterations,
             most,
             poses,
-            without[-size:],
+            without[-stamps.size :],
             arm,
             state,
             wrench,
@@ -380,7 +382,7 @@ def _combined(every: int, first: int, series: tuple[np.ndarray, ...]) -> tuple[n
     """The rows of a window, ``every`` periods each; first: 0 for the window with the start of the pass, else 1."""
     if every == 1:
         return tuple(values[first:] for values in series)
-    size = np.linalg.norm(series[4][1:, :3], axis=1)
+    size = np.einsum("ij,ij->i", series[4][1:, :3], series[4][1:, :3])
     starts = np.arange(0, size.size, every)
     padded = np.append(size, np.full(-size.size % every, -1.0)).reshape(-1, every)
     rows = np.append(np.zeros(1 - first, int), starts + padded.argmax(1) + 1)

@@ -39,7 +39,6 @@ from kr270_milling.decide.programs.files import (
     write_rsi_table,
 )
 from kr270_milling.decide.programs.krl import Setup, trajectory_hash, write_krl
-from kr270_milling.decide.programs.krl_motion import knot_notes
 from kr270_milling.decide.programs.points import point_numbers, program_points
 from kr270_milling.decide.programs.written import read_krl, softer_pass, written_pass, written_trajectory
 from kr270_milling.live.rsi.telegram import Elements, read_elements
@@ -251,7 +250,7 @@ def test_a_text_that_would_break_the_head_a_pair_that_does_not_fit_and_too_many_
 def test_a_name_of_an_operation_is_one_line_of_ascii(tmp_path, sign):
     run = swaying(20)[0]
     name = f"Tasche \u00dc1{sign}HALT {sign} \u2205"
-    notes = knot_notes(range(1, 21), (name,) * 20)
+    notes = np.arange(1, 21), np.array([name] * 20, object)
     write_krl(tmp_path, Program(tolerance=0.0), setup(), run, run, notes)
     text = (tmp_path / "MILLING_CMP.src").read_bytes()
     assert not set(text) - {*range(32, 127), 10, 13} and len(text.splitlines()) == text.count(b"\r\n")
