@@ -367,7 +367,8 @@ class Interpreter(Machine):
             self.restore(self.modes[-1] or {})
         else:
             saved = {name: getattr(self, name) for name in SAVED}
-            saved |= {"offset": self.offsets.active, "shifted": any(self.offsets.preset), "at_end": word == 73}
+            at_end = word == 73 or bool(self.modes[-1] and self.modes[-1]["at_end"])
+            saved |= {"offset": self.offsets.active, "shifted": any(self.offsets.preset), "at_end": at_end}
             self.modes[-1] = None if word == 71 else saved
 
     def restore(self, modes: dict[str, Any]) -> None:
