@@ -188,7 +188,7 @@ KINDS = {
         "Write the number of the tool, from 1 on, where the program changes to it."),
     "block skip": Kind("1", "", "Leave the switch off: the program without these lines is not checked.", "warning"),
     "cycle heights": Kind("1", "",
-        "LinuxCNC counts it in another way: write R and Z in the line that changes the mode, or end the cycle before.",
+        "Other controls run it in another way: begin the cycle again there, with R and Z and the tool above R.",
         "warning"),
     "feed unit": Kind("1", "", "Other controls count it in the new unit: write F in the lines after G20 or G21.",
         "warning"),

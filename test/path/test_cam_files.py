@@ -205,9 +205,9 @@ HEAD = "PARTNO TEST PIECE\nUNITS/MM\nSPINDL/8000,RPM,CLW\n"
 
 @pytest.fixture
 def read(tmp_path):
-    def read(text: str, suffix: str = ".apt"):
+    def read(text: str, suffix: str = ".apt", **choice):
         (tmp_path / f"part{suffix}").write_text(text)
-        return read_toolpath(tmp_path / f"part{suffix}")
+        return read_toolpath(tmp_path / f"part{suffix}", **choice)
 
     return read
 
@@ -273,6 +273,12 @@ def test_a_feed_per_revolution_goes_with_the_spindle_and_tools_and_what_moves_no
     assert program.current.diameter == pytest.approx(0.012)
     assert dict(program.read_over)["COOLNT"] == 2
     np.testing.assert_allclose(path.position[2:] * 1e3, [[0, 0, 5], [9, 9, 5]])  # up first
+
+
+def test_a_cutter_is_that_of_the_next_cut_before_and_after_the_change_of_the_tool(read):
+    lines = "FEDRAT/600\nGOTO/0,0,0\nCUTTER/10\nLOADTL/1\nGOTO/1,0,0\nCUTTER/6,3\nTOOLNO/2\nLOADTL/2\nGOTO/2,0,0\n"
+    tools = read(lines + "LOADTL/3\nCUTTER/8,1\nGOTO/3,0,0\nFINI\n", tool="T2").program.tools
+    assert [(tool.diameter, tool.corner_radius) for tool in tools] == [(0.01, 0), (0.006, 0.003), (0.008, 0.001)]
 
 
 def test_a_spindle_stops_at_a_change_of_the_tool_and_goes_on_in_its_sense(read):
@@ -372,6 +378,7 @@ REFUSED = {".apt": [
     ("LOADTL/1\nFEDRAT/9\nGOTO/0,0,0\nGOTO/1,0,0\nLOADTL/2\nGOTO/2,0,0\n", 5, "2 tools: T1 from line 1, T2"),
     ("GOTO/0,0,0\nMSYS/0,0,0,1,0,0,0,1,0\n", 2, "MSYS"), ("GOTO/0,0,0\nFEDRAT/0\nGOTO/1,0,0\n", 3, "zero feed"),
     ("GOTO/0,0,0\nFEDRAT/-5\n", 2, "-5"), ("GOTO/0,0,0\nFEDRAT/0.1,MMPM,IPM\n", 2, "FEDRAT"),
+    ("FEDRAT/9\nGOTO/0,0,0\nLOADTL/1\nCUTTER/8\nGOTO/1,0,0\nCUTTER/6\nLOADTL/1\nGOTO/2,0,0\n", 8, "second size of T1"),
     ("LOADTL/1\nCUTTER/0.5\nUNITS/INCHES\n", 3, "after lengths that are read in mm"),
     ("GOTO/0,0,nan\n", 1, "NAN"), ("GOTO/0,0\n", 1, "not 2 numbers"), ("GOTO/0,0,0,0,0,2\n", 1, "length 2"),
     ("GOTO/0,0,0,0,0,-1\n", 1, "below"), ("UNITS/FURLONGS\n", 1, "FURLONGS"),

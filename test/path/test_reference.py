@@ -65,6 +65,10 @@ ENDS = {
     "G83 X1 Z-6.5 R2 Q1.7": [(1, 0, 0.3), (1, 0, -1.4), (1, 0, -3.1), (1, 0, -4.8), (1, 0, -6.5)],
     "o1 sub\nM73\nG91 G20\nG55\nX1\no1 endsub\no1 call\nX9\nM70 G91 G20\nX1\nM72\nX1": [25.4, 9, 34.4, 1],
     "o1 sub\nM73\nG91\nM71\no1 endsub\no1 call\nX4\nX1": [4, 5],
+    "o1 sub\nM73\nM70\nG91\no1 endsub\no1 call\nX4\nX1": [4, 1],
+    # whether G92 or G52 shifts is a mode, by how much is not
+    "o1 sub\nM73\nG52 X4\nX1\no1 endsub\no1 call\nX2\nG92.3\nX3": [5, 2, 7],
+    "G92 X10\nM70\nG92.2\nM72\nX0\nG92 X4\nM72\nX0": [-10, -14],
     "@10 ^90\n^0\nG91 @2 ^[180-90]": [(0, 10), (10, 0), (0, 12)],
     "G18 G98 G81 X3 Z-2 Y-4 R1": [(3, -4, -2)],
     # a cycle continues, whatever moves the coordinates

@@ -179,10 +179,18 @@ DOUBTS = {
         "R or Z of a cycle from before G90, G91, G20 or G21 keeps its height",
         8,
     ),
-    "G0 Z9\nG91 G99 G81 X5 Z-3 R-2\nR-1 X3\nG80 G90\nG1 Z-1": (
+    "G0 Z9\nG91 G99 G81 X5 Z-3 R-2\nR-3 X3\nG80 G90\nG1 Z-1": (
         "R of a further hole with G91 counts from the height before the cycle",
         8,
     ),
+    **dict.fromkeys(
+        (
+            "G0 Z2\nG99 G81 X0 Y0 Z-3 R2\nX9\nX9 R4\nX20 R6\nG80\nG1 Z-1",
+            "G0 Z9\nG81 X0 Y0 Z-3 R2\nX9\nX9 R4\nX20 R16\nG80\nG1 Z-1",
+        ),
+        ("R is above the tool, which rises here before it moves to the hole", 10),
+    ),
+    "G0 Z2\nG99 G81 X0 Y0 Z-3 R2\nZ-4 R4\nX9\nX20 R3\nG80\nG1 Z-1": None,
     "G43\nX5\nG49\nG0 Z9\nG43\nG1": ("the length of T1 ends before a retract", 8),
     "G0 Z9\nG91 G99 G81 X5 Z-3 R-2\nX3\nG90 X9 Z-1 R3\nG80\nG1 Z-1": None,
     **dict.fromkeys(("G43 H1", "G43", "G49", "G43 H1\nX5\nG49 G53 Z0\nG43\nG1", "G43\nG28 Z0\nG49"), None),

@@ -8,6 +8,7 @@ i, j, k points from the tip to the spindle (``tool_along``). Circles and holes m
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import functools
 import itertools
 import math
@@ -77,6 +78,7 @@ class _AptReader(Machine):
         super().__init__(program, feed)
         self.absolute_centre = True
         self.speed = 0.0  #: [rad/s]
+        self.cutter: ProgramTool | None = None  #: of the next cut: CUTTER/ is before LOADTL/ (CATIA) or after
         self.rapid = False
         self.numbered = False  #: True if LOADTL names the tools
         self.circle: tuple[list[float], int] | None = None  #: its numbers and line, until the GOTO of its end
@@ -273,9 +275,17 @@ class _AptReader(Machine):
                 kind = "tapered mill"
             else:
                 kind = "drill" if len(sizes) > bottom and _number(sizes[bottom]) else ""
-            self.program.known[self.program.tool] = ProgramTool(
-                self.program.tool, diameter=diameter, corner_radius=radius, kind=kind
-            )
+            self.cutter = ProgramTool("", diameter=diameter, corner_radius=radius, kind=kind)
+
+    def _feed_to(self, *args) -> None:
+        tool, known = self.program.tool, self.program.known
+        if self.cutter is not None:
+            cutter, self.cutter = dataclasses.replace(self.cutter, name=tool), None
+            if known.setdefault(tool, cutter).diameter and known[tool] != cutter:
+                reason = f"CUTTER/ states a second size of {tool or 'the tool'}"
+                self.program.refuse("CUTTER", reason, "write LOADTL/ with a further number")
+            known[tool] = cutter
+        super()._feed_to(*args)
 
     # --- moves ---
 
@@ -509,7 +519,7 @@ class _AptReader(Machine):
     def _units(self, values: list[str]) -> None:
         if len(values) != 1 or values[0] not in LENGTHS:
             raise StatementError(f"UNITS/ needs MM or INCHES, not {short(','.join(values))!r}")
-        if (self.started or self.program.known) and not self.units_given and self.unit != LENGTHS[values[0]]:
+        if (self.started or self.cutter) and not self.units_given and self.unit != LENGTHS[values[0]]:
             raise StatementError(f"UNITS/{values[0]} comes after lengths that are read in mm; write UNITS/ first")
         self.unit = LENGTHS[values[0]]
         self.units_given = True

@@ -23,7 +23,7 @@ from kr270_milling.path.cam.arcs import (
     nurbs_points,
     row_points,
 )
-from kr270_milling.path.cam.contour import Stroke, planned
+from kr270_milling.path.cam.contour import NEAR, Stroke, planned
 from kr270_milling.path.cam.program_builder import Cycle, ProgramBuilder
 from kr270_milling.path.kinematics import NO_ROTARY_AXES
 from kr270_milling.path.toolpath import REACH, TOP
@@ -856,6 +856,8 @@ class Machine:
             return (*point[:across], height, *point[across + 1 :])
 
         height = max(self.position[across], cycle.retract)
+        if self.position[across] < cycle.retract - NEAR and math.dist(at(self.tip, 0.0), at(place, 0.0)) > NEAR:
+            self.program.doubt("cycle heights", "R is above the tool, which rises here before it moves to the hole")
         self.go(at(self.tip, height))
         self.beside = 0j
         self.go(at(place, height))

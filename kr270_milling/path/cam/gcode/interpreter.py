@@ -367,10 +367,12 @@ class Interpreter(Machine):
             self.restore(self.modes[-1] or {})
         else:
             saved = {name: getattr(self, name) for name in SAVED}
-            self.modes[-1] = None if word == 71 else {**saved, "offset": self.offsets.active, "at_end": word == 73}
+            at_end = word == 73 or bool(self.modes[-1] and self.modes[-1]["at_end"])
+            saved |= {"offset": self.offsets.active, "shifted": any(self.offsets.preset), "at_end": at_end}
+            self.modes[-1] = None if word == 71 else saved
 
     def restore(self, modes: dict[str, Any]) -> None:
-        """Restore the modes of M70; the motion of G0 to G3 stays (LinuxCNC)."""
+        """Restore the modes of M70, and whether G92 or G52 shifts; the motion of G0 to G3 stays (LinuxCNC)."""
         if self.side:
             self.ends_contour("M72 or the end of a sub-program with M73")
         for name in SAVED:
@@ -378,6 +380,8 @@ class Interpreter(Machine):
         self.program.spindle_speed = self.turning * self.speed
         if modes["offset"] != self.offsets.active:
             self._use_offset(modes["offset"])
+        if modes["shifted"] != any(self.offsets.preset):
+            self._restore(92.3 if modes["shifted"] else 92.2)
 
     def _compensate(self, word: float, axes: dict) -> None:
         """G40, G41 D, G42 D: the radius that G10 gives to D, else that of the tool; G41.1 D: half of D."""
