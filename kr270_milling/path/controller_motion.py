@@ -16,6 +16,7 @@ approximate positioning begins at the earliest; at most half the distance betwee
 from __future__ import annotations
 
 import numpy as np
+from numba import njit
 from scipy.linalg import solve_banded
 
 from kr270_milling.base.blocks import blocks
