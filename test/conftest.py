@@ -10,6 +10,7 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # a shell sets this for b
     signal.signal(signal.SIGINT, signal.default_int_handler)  # the tested programs must receive it
 
 import contextlib
+import gc
 import io
 import json
 import time
@@ -24,6 +25,7 @@ from ros_domain import DISCOVERY, ROOT, own_domain, own_turn
 
 #: every process that a test starts runs this checkout, not an installed package
 os.environ["PYTHONPATH"] = os.pathsep.join(filter(None, [str(ROOT), os.environ.get("PYTHONPATH")]))
+gc.set_threshold(20_000, 20)  # as in a command; the search for garbage took 7 % of the tests
 LIMIT = 60.0  # [s] for what does not happen, on a busy machine too
 
 

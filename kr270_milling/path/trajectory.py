@@ -133,9 +133,9 @@ class Trajectory:
 
     def _sampled(self, time_ns, rate: bool, left: bool = False) -> np.ndarray:
         """``sample`` or ``sample_velocity`` at many times, in compiled code."""
-        time = np.ravel(np.asarray(time_ns, np.int64))
-        samples, none = np.zeros((time.size, 3)), np.zeros((0, 3))
-        velocity = none if self.velocity is None else self.velocity
+        time = np.array(time_ns, np.int64).ravel()  # writable, as all others: Numba compiles twice for both kinds
+        samples = np.zeros((time.size, 3))
+        velocity = self.position[:0] if self.velocity is None else self.velocity
         _fill_samples(self.time_ns, self.position, velocity, time, rate, left, samples)
         return samples.reshape(*np.shape(time_ns), 3)
 

@@ -262,7 +262,7 @@ def remaining_walls(ideal: IdealPart, path: Stations, error: np.ndarray) -> Wall
     """The walls of the finished part, given actual minus target tool centres (n + 1, 3) [m]."""
     hits, k = ideal.marks, ideal.marks["period"]
     staying = hits[ideal.staying]
-    moved = (error[k] + hits["share"][:, None] * (error[k + 1] - error[k]))[:, :2]
+    moved = (error[k] + hits["share"][:, None] * (error[k + 1] - error[k]))[:, :2].copy()
     own = np.einsum("kd,kd->k", moved[ideal.staying], staying["normal"])
     _fill_reach(moved, np.ascontiguousarray(staying["normal"]), *ideal.near, own)
     position = np.column_stack([tooth_tips(staying), staying["centre"][:, 2]])
