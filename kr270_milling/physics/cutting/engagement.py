@@ -168,7 +168,8 @@ def make_engagement_params(
     """
     widest = float(tool.radii.max())
     flat_end = tool.has_flat_end and not tilts
-    profile, radius, flat = (None, widest, widest) if flat_end else profile_of(tool, stock)
+    turn = math.radians(5.0 if upright else 3.0)  # of the edge in a piece: a thin strip at 45 deg needs the smaller
+    profile, radius, flat = (None, widest, widest) if flat_end else profile_of(tool, stock, turn)
     return EngagementParams(
         **common_params(tool, cutting, stock, micro_step),
         radius=radius,

@@ -112,14 +112,13 @@ def outline(tool: Tool) -> np.ndarray:
     return np.vstack(rows)
 
 
-def profile_of(tool: Tool, stock: Stock) -> tuple[Profile, float, float]:
+def profile_of(tool: Tool, stock: Stock, turn: float) -> tuple[Profile, float, float]:
     """Return the profile of a tool on the map of a stock, its radius and the radius of its flat end [m].
 
-    A piece turns by at most ``turn`` and is at most ``width`` wide and 4 high.
+    A piece turns by at most ``turn`` [rad] and is at most ``width`` wide and 4 high.
     """
     points = outline(tool)
     radius, fine = float(points[-1, 0]), [points[:1]]
-    turn = math.radians(5.0)  # of the edge within a piece
     # of a piece, as a share of the radius: the tip of a ball meets several in a shallow cut. At the axis, where most of
     # the volume of a piece is far from the axis, pieces are narrower, those of a line most of all
     width, growth = 0.06, np.zeros(0)
