@@ -33,6 +33,7 @@ from kr270_milling.decide.check_arm import (
 from kr270_milling.decide.check_cut import Contacts, Residue, cut_violations, path_contacts, residue_of
 from kr270_milling.decide.findings import SEVERITIES, Finding, gathered, placed, violation
 from kr270_milling.decide.inputs import input_violations
+from kr270_milling.decide.part.assessment import Judgement, judge
 from kr270_milling.decide.programs.files import knot_feeds
 from kr270_milling.decide.programs.points import ProgramBlocks, fixed_knots, program_blocks, program_points
 from kr270_milling.decide.programs.written import drafted
@@ -95,6 +96,7 @@ class Checked:
     load_reversals: tuple[Finding, ...] | None = column("load_reversals", default=None)
     #: robot program; None: the arm cannot make the path, or no program holds it
     blocks: ProgramBlocks | None = column("program", default=None)
+    tolerance: Judgement | None = column("", default=None)  #: errors of the part; None: ``check`` simulated no pass
 
     def __repr__(self) -> str:
         return f"<Checked: {self.summary}>"
@@ -202,8 +204,9 @@ def check(
             contacts, statement = pool.submit(path_contacts, cell, run), pool.submit(stability_statement, cell)
             links = pool.submit(link_contacts, arm_of(cell), cell.tool.stick_out, cell.workpiece, cell.stock, run)
             size = pool.submit(_of_program, cell, run, robot_program)
-            ran, cut = _cut(cell, run, ran, contacts, progress)
+            ran, cut, judged = _cut(cell, run, ran, contacts, pool, progress)
             about["ran"], (about["blocks"], ends) = ran, size.result()
+            about["tolerance"] = judged and judged.result()
             results += [*links.result(), *cut, *ends]
             if robot_program.motion == "LIN" and not robot_program.blend_distance and about["blocks"]:
                 results.append(violation("no blending", about["blocks"].points, int(path.target.standing.sum())))
@@ -278,14 +281,21 @@ def _of_pass(
 
 
 def _cut(
-    cell: Cell, run: Trajectory, ran: ScoredPass | None, contacts: Future[Contacts], progress: Callable
-) -> tuple[ScoredPass | None, list[Finding]]:
-    """The pass along ``run``, simulated where it was not yet, and what it shows."""
+    cell: Cell,
+    run: Trajectory,
+    ran: ScoredPass | None,
+    contacts: Future[Contacts],
+    pool: ThreadPoolExecutor,
+    progress: Callable,
+) -> tuple[ScoredPass | None, list[Finding], Future[Judgement] | None]:
+    """The pass along ``run``, simulated and judged where it was not yet, and what it shows."""
+    judged = None
     try:
         if ran is None:
             with progress("milling") as report:
                 most_rows = 2**19  # rows of the series of the simulated pass, some 220 bytes each: 35 min at 4 ms
                 ran = simulate(cell, run, "checked", report, most_rows=most_rows, quick=True)
+            judged = pool.submit(judge, cell, ran)
     except PassError as error:
         point = int(np.searchsorted(run.time, error.at)) + 1
         failed = violation("deflection", error.deflection, FLIGHT, point, sentence=str(error))
@@ -295,8 +305,8 @@ def _cut(
         failed = violation("load on the arm", error.load_factor, 1.0, sentence=str(error))
     else:
         with progress("stock and fixtures"):
-            return ran, cut_violations(cell, run, ran, contacts.result())
-    return None, [failed, *(finding for part in contacts.result() for finding in part)]
+            return ran, cut_violations(cell, run, ran, contacts.result()), judged
+    return None, [failed, *(finding for part in contacts.result() for finding in part)], None
 
 
 def _correction(cell: Cell, target: Trajectory, run: Trajectory, robot_program: Program) -> list[Finding]:

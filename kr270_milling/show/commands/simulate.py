@@ -121,8 +121,7 @@ def _checked(cell, args, whole):
     reference = None if args.reference is None else read_csv(Path(args.reference))[0]
     progress = whole.under(title_of(cell))
     checked = decision.check(cell, reference, args.motion, progress=progress)
-    with progress("walls and floors"):
-        tolerance = judge(cell, checked.ran) if checked.ran else None
+    tolerance = checked.tolerance
     values = {"cut": cell.cutting.detail, **as_dict(checked), "tolerance": tolerance and as_dict(tolerance)}
     words = [f"{'as programmed' if reference is None else 'corrected'}: {tolerance.words}"] if tolerance else []
     if args.verbose:
