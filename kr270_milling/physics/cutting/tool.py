@@ -127,8 +127,8 @@ class Tool(Record):
         unit="mm",
         low=0.0,
         high=1000.0,
-        text="radius, height, radius, height, ... of holder and spindle nose, from the end of stick_out upwards; "
-        "the last radius has no end; empty: 3 mm wider than the shank",
+        text="corners of holder and spindle nose: radius, height, radius, height, ...; heights are above the end of "
+        "stick_out, the first is 0, the last radius has no end; empty: 3 mm wider than the shank",
     )
     # assumed: cemented carbide; high-speed steel has 210
     modulus: float = parameter(600e9, unit="gpa", above=0.0, high=1000.0, text="Young's modulus")
@@ -160,8 +160,9 @@ class Tool(Record):
 
         if self.holder.size:
             rows = self.holder.reshape(-1, 2) if self.holder.size % 2 == 0 else np.full((1, 2), np.nan)
-            if not (np.diff(rows, axis=0) >= 0.0).all() or not rows[0, 0] > 0.0 or not self.stick_out:
-                allowed = "pairs of radius and height that do not fall, with tool.stick_out_mm above 0"
+            begins = rows[0, 0] > 0.0 and rows[0, 1] == 0.0
+            if not begins or not (np.diff(rows, axis=0) >= 0.0).all() or not self.stick_out:
+                allowed = "corners as radius, height, that do not fall, the first at height 0, with tool.stick_out_mm"
                 raise ParameterError("holder_mm", (1e3 * self.holder).tolist(), allowed)
         self._check_profile()
 

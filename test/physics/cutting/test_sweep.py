@@ -45,6 +45,7 @@ def test_teeth_stand_at_their_pitch_clockwise_at_cos_phi_minus_sin_phi_and_a_mic
 @pytest.mark.parametrize(("kind", "change"), [
     *((Tool, {"pitch_deg": pitch}) for pitch in ([90.0] * 3, [90.0, 90.0, 90.0, 91.0], [90.0, 90.0, 180.0, 0.0])),
     (Tool, {"runout_um": [1.0]}), (Tool, {"diameter_mm": 1.0, "runout_um": [0.0, 0.0, 0.0, -600.0]}),
+    (Tool, {"stick_out_mm": 40.0, "holder_mm": [25.0, 30.0, 40.0, 100.0]}),  # a gap of 30 mm below the holder
     *((Tool, {key: 1e-99}) for key in ("diameter_mm", "shank_diameter_mm", "flute_section", "stiffness_n_per_um")),
     *((Stock, {"max_mm": high}) for high in ([100.0, -12.0, 0.0], [100.0, 12.0, -10.0])),
 ])  # fmt: skip
