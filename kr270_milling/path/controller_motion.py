@@ -172,7 +172,7 @@ def natural_slopes(travelled: np.ndarray, points: np.ndarray, stops: np.ndarray)
 
     travelled: distance to each point (p,). Equal slopes and curvatures inside of a block, no curvature at both ends.
     Row n of the system: a s_(n-1) + 2 s_n + b s_(n+1) = 3 (a c_(n-1) + b c_n), c the slopes of the chords, a + b = 1.
-    With h the lengths of the spans a / b = h_n / h_(n-1); a = 0 at the start of a block, a = 1 at its end.
+    With h the lengths of the spans a / b = h_n / h_(n-1); a = 0 at the start of a block, 1 where the block closes.
     """
     step, slopes = np.diff(travelled), np.empty((len(points) - 1, 2, 3))
     weight = np.append(0.0, step[1:] / (step[1:] + step[:-1]))
