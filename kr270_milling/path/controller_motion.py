@@ -20,8 +20,7 @@ from numba import njit
 from scipy.linalg import solve_banded
 
 from kr270_milling.base.blocks import blocks
-from kr270_milling.base.compiled import compiled
-from kr270_milling.path.trajectory import AT_REST, Trajectory
+from kr270_milling.path.trajectory import AT_REST, Trajectory, hermite
 
 
 def block_ends(target: Trajectory) -> np.ndarray:
@@ -103,12 +102,9 @@ def places_on_program(
     [mxAutomation]; none at stops.
     """
     travelled = run.travelled
-    if spline:
-        slopes = natural_slopes(travelled[knots], points, stops)
-        _fill_places(travelled, knots, points, slopes, place := np.empty(run.position.shape))
-        return place
     step, move = np.diff(travelled[knots])[:, None], np.diff(points, axis=0)
-    turn, normal = _arcs(points, auxiliary)
+    slopes = natural_slopes(travelled[knots], points, stops) if spline else np.zeros((0, 2, 3))
+    turn, normal = _arcs(points, None if spline else auxiliary)
     across = np.sin(turn / 2) * np.cross(normal, move)
     first, last = ((np.cos(turn / 2) * move + sign * across) / np.sinc(turn / 2 / np.pi) for sign in (-1, 1))
     inward = np.cross(normal, first)
@@ -117,26 +113,15 @@ def places_on_program(
         span = np.searchsorted(knots, np.arange(part.start, part.stop), side="right") - 1
         span = np.clip(span, 0, len(knots) - 2)
         u = (travelled[part] - travelled[knots[span]])[:, None] / step[span]
+        if spline:
+            place[part] = hermite(points[span], move[span], slopes[span, 0], slopes[span, 1], u)
+            continue
         half = turn[span] * u / 2
         place[part] = points[span] + u * np.sinc(2 * half / np.pi) * first[span]
         place[part] += u * np.sin(half) * np.sinc(half / np.pi) * inward[span]
         if np.any(blend):
             place[part] += _rounding(first, last, turn[:, 0] > 0.0, np.where(stops, 0.0, blend), span, u[:, 0])
     return place
-
-
-@compiled
-def _fill_places(travelled, knots, points, slopes, place):
-    """Fill the places (n, 3) at distances (n,) on the cubics between points; slopes: of ``natural_slopes``."""
-    k = 0
-    for n in range(travelled.size):
-        while k < knots.size - 2 and knots[k + 1] <= n:
-            k += 1
-        start = travelled[knots[k]]
-        u = (travelled[n] - start) / (travelled[knots[k + 1]] - start)
-        for i in range(3):
-            move, a, b = points[k + 1, i] - points[k, i], slopes[k, 0, i], slopes[k, 1, i]
-            place[n, i] = points[k, i] + u * a + u * u * (3 * move - 2 * a - b) + u * u * u * (a + b - 2 * move)
 
 
 def _arcs(points: np.ndarray, auxiliary: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
@@ -182,35 +167,36 @@ def _rounding(
     return way
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
-def natural_slopes(travelled, points, stops):
+def natural_slopes(travelled: np.ndarray, points: np.ndarray, stops: np.ndarray) -> np.ndarray:
     """Slopes over u, (p - 1, 2, 3), at both ends of the spans of natural cubic splines, one spline from stop to stop.
 
-    travelled: distance to each point (p,). Equal slopes and curvatures inside of a block, none at both ends.
+    travelled: distance to each point (p,). Equal slopes and curvatures inside of a block, no curvature at both ends.
     Row n of the system: a s_(n-1) + 2 s_n + b s_(n+1) = 3 (a c_(n-1) + b c_n), c the slopes of the chords, a + b = 1.
-    With h the lengths of the spans a / b = h_n / h_(n-1); a = 0 at the start of a block, b = 0 at its end.
+    With h the lengths of the spans a / b = h_n / h_(n-1); a = 0 at the start of a block, 1 where the block closes.
     """
-    last, start = len(points) - 1, 0
-    ratio, slope, slopes = np.zeros(last + 1), np.zeros((last + 1, 3)), np.empty((last, 2, 3))
-    for end in range(1, last + 1):
-        if end < last and not stops[end]:
-            continue
-        for n in range(start, end + 1):
-            before = travelled[n] - travelled[n - 1] if n > start else 0.0
-            after = travelled[n + 1] - travelled[n] if n < end else 0.0
-            a = after / (before + after) if start < n < end else (1.0 if n == end else 0.0)
-            pivot = 2.0 - a * ratio[n - 1] if n > start else 2.0
-            ratio[n] = (1.0 - a) / pivot
-            for i in range(3):
-                value = 3.0 * (1.0 - a) * (points[n + 1, i] - points[n, i]) / after if n < end else 0.0
-                if n > start:
-                    value += a * (3.0 * (points[n, i] - points[n - 1, i]) / before - slope[n - 1, i])
-                slope[n, i] = value / pivot
-        for n in range(end - 1, start - 1, -1):
-            step = travelled[n + 1] - travelled[n]
-            for i in range(3):
-                slopes[n, 1, i] = step * slope[n + 1, i]
-                slope[n, i] -= ratio[n] * slope[n + 1, i]
-                slopes[n, 0, i] = step * slope[n, i]
-        start = end
-    return slopes
+    step, slopes = np.diff(travelled), np.empty((len(points) - 1, 2, 3))
+    weight = np.append(0.0, step[1:] / (step[1:] + step[:-1]))
+    weight[1:][stops[1:-1]] = 0.0
+    _eliminate(weight, np.diff(points, axis=0) / step[:, None], np.append(weight[1:] == 0.0, True), slopes)
+    return step[:, None, None] * slopes
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def _eliminate(weight, chord, closes, slopes):
+    """Fill the slopes over the distance; weight: a at the start of each span (p - 1,); closes: a block ends there."""
+    last, ratio = len(weight) - 1, np.empty(len(weight))
+    for n in range(last + 1):
+        a, before = weight[n], max(n - 1, 0)
+        pivot = 2.0 - a * ratio[before] if n else 2.0
+        ratio[n] = (1.0 - a) / pivot
+        for i in range(3):
+            value = 3.0 * (1.0 - a) * chord[n, i]
+            if n:
+                value += a * (3.0 * chord[before, i] - slopes[before, 0, i])
+            slopes[n, 0, i] = value / pivot
+            slopes[n, 1, i] = (3.0 * chord[n, i] - slopes[n, 0, i]) / (2.0 - ratio[n])
+    for n in range(last, -1, -1):
+        for i in range(3):
+            if not closes[n]:
+                slopes[n, 1, i] = slopes[n + 1, 0, i]
+            slopes[n, 0, i] -= ratio[n] * slopes[n, 1, i]

@@ -383,15 +383,13 @@ def _farthest(travelled, position, first, knots, slopes, spans, away):
     """
     for k in spans:
         start, end = first[knots[k]], first[knots[k + 1]]
-        x, y, z = position[start]
-        a, b, move = slopes[k, 0], slopes[k, 1], position[end] - position[start]
-        bend, twist = 3.0 * move - 2.0 * a - b, a + b - 2.0 * move
         for n in range(knots[k], knots[k + 1]):
-            square = 0.0
+            most = 0.0
             for i in range(first[n], first[n + 1]):
-                u = (travelled[i] - travelled[start]) / (travelled[end] - travelled[start])
-                dx = x + u * (a[0] + u * (bend[0] + u * twist[0])) - position[i, 0]
-                dy = y + u * (a[1] + u * (bend[1] + u * twist[1])) - position[i, 1]
-                dz = z + u * (a[2] + u * (bend[2] + u * twist[2])) - position[i, 2]
-                square = max(square, dx * dx + dy * dy + dz * dz)
-            away[n] = math.sqrt(square)
+                u, square = (travelled[i] - travelled[start]) / (travelled[end] - travelled[start]), 0.0
+                for j in range(3):
+                    move, a, b = position[end, j] - position[start, j], slopes[k, 0, j], slopes[k, 1, j]
+                    cubic = position[start, j] + u * (a + u * (3 * move - 2 * a - b + u * (a + b - 2 * move)))
+                    square += (cubic - position[i, j]) * (cubic - position[i, j])
+                most = max(most, square)
+            away[n] = math.sqrt(most)
