@@ -63,6 +63,9 @@ def read_cells(path, assignments=()) -> tuple[Cell, ...]:
     if chosen and chosen not in [run.name for run in runs]:
         raise ConfigError(path, "path.tool", chosen, f"one of {', '.join(run.name for run in runs)}")
     cells = [by_tool[run.name] for run in runs]
+    if not cells[0].path.offsets.size and len(names := {cell.path.source.work_offset or "G54" for cell in cells}) > 1:
+        reason = f"is missing: the tools cut in {' and '.join(sorted(names))}; state x, y and z of each from G54 on"
+        raise ConfigError(path, "path.offsets_mm", None, reason)
     cut = [removal_of(cell) for cell in cells]
     tips = [cell.mount.xyz.tolist() for cell in cells]
     stages = [

@@ -68,6 +68,7 @@ ENDS = {
     "o1 sub\nM73\nM70\nG91\no1 endsub\no1 call\nX4\nX1": [4, 1],
     # whether G92 or G52 shifts is a mode, by how much is not
     "o1 sub\nM73\nG52 X4\nX1\no1 endsub\no1 call\nX2\nG92.3\nX3": [5, 2, 7],
+    "o1 sub\nM73\nG92 X4\no1 endsub\nG52 X0\no1 call\nX0": [-4],
     "G92 X10\nM70\nG92.2\nM72\nX0\nG92 X4\nM72\nX0": [-10, -14],
     "@10 ^90\n^0\nG91 @2 ^[180-90]": [(0, 10), (10, 0), (0, 12)],
     "G18 G98 G81 X3 Z-2 Y-4 R1": [(3, -4, -2)],

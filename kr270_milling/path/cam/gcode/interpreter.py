@@ -54,6 +54,7 @@ class Offsets:
         self.preset = [0.0] * 3  #: G92 or G52
         self.stored = [0.0] * 3  #: that of G92 before G92.2
         self.local = False  #: the preset is one of G52
+        self.applied = False  #: G92, G52 or G92.3 holds, also with a preset of zero
         self.turn = 1 + 0j  #: G68
         self.centre = 0j
         self.base: tuple[complex, complex, float] | None = (1 + 0j, 0j, 0.0) if places else None
@@ -368,7 +369,7 @@ class Interpreter(Machine):
         else:
             saved = {name: getattr(self, name) for name in SAVED}
             at_end = word == 73 or bool(self.modes[-1] and self.modes[-1]["at_end"])
-            saved |= {"offset": self.offsets.active, "shifted": any(self.offsets.preset), "at_end": at_end}
+            saved |= {"offset": self.offsets.active, "applied": self.offsets.applied, "at_end": at_end}
             self.modes[-1] = None if word == 71 else saved
 
     def restore(self, modes: dict[str, Any]) -> None:
@@ -380,8 +381,8 @@ class Interpreter(Machine):
         self.program.spindle_speed = self.turning * self.speed
         if modes["offset"] != self.offsets.active:
             self._use_offset(modes["offset"])
-        if modes["shifted"] != any(self.offsets.preset):
-            self._restore(92.3 if modes["shifted"] else 92.2)
+        if modes["applied"] != self.offsets.applied:
+            self._restore(92.3 if modes["applied"] else 92.2)
 
     def _compensate(self, word: float, axes: dict) -> None:
         """G40, G41 D, G42 D: the radius that G10 gives to D, else that of the tool; G41.1 D: half of D."""
@@ -559,7 +560,8 @@ class Interpreter(Machine):
         """G92.1 and G92.2 end the shift of G92, which G92.3 restores after G92.2."""
         stored = [0.0] * 3 if value == 92.1 else self.offsets.stored
         local = self.offsets.local and value != 92.1
-        self._change(preset=stored if value == 92.3 else [0.0] * 3, stored=stored, local=local)
+        preset, applied = (stored, True) if value == 92.3 else ([0.0] * 3, False)
+        self._change(preset=preset, stored=stored, local=local, applied=applied)
 
     def _datum(self, word: str, groups: dict, axes: dict) -> None:
         """G10, G52, G68, G92: before the first move they place the frame of the path; G92 S is a limit."""
@@ -596,7 +598,7 @@ class Interpreter(Machine):
             preset[AXES[axis]] += self.position[AXES[axis]] - value * self.unit
         if not all(map(math.isfinite, preset)):
             return "G92 where the place of the tool is not known"
-        self._change(preset=preset, stored=preset)
+        self._change(preset=preset, stored=preset, applied=True)
         return ""
 
     def _local(self, lengths: dict, _) -> str:
@@ -606,7 +608,7 @@ class Interpreter(Machine):
         preset = [lengths[axis] * self.unit if axis in lengths else self.offsets.preset[n] for axis, n in AXES.items()]
         if not self._began and any(preset) and not self.offsets.given:
             self.offsets.base = self.offsets.affine  # a shift of the zero that the post knows
-        self._change(preset=preset, stored=preset, local=any(preset))
+        self._change(preset=preset, stored=preset, local=any(preset), applied=True)
         return ""
 
     def _turned(self, lengths: dict, axes: dict) -> str:
