@@ -94,12 +94,12 @@ class PassInbox:
         self._iterations = iterations
         self.clear()
 
-    def clear(self, wrenches: dict[int, FrameWrench] | None = None) -> None:
-        """Await the next pass; wrenches: those of this pass that came before its first pose."""
+    def clear(self) -> None:
+        """Await the next pass."""
         # plain tuples: a collection of garbage visits every NamedTuple, of which a pass of minutes has a million
         self._poses: dict[int, PositionQuaternion] = {}  # by their stamps, ascending
-        self.wrenches: dict[int, FrameWrench] = dict(wrenches or {})  #: of the pass, by their stamps
-        self._early: dict[int, FrameWrench] = {}
+        self.wrenches: dict[int, FrameWrench] = {}  #: of the pass, by their stamps
+        self._early: list[WrenchSample] = []  # those that came before the first pose of the pass
         self.ignored = 0  #: poses of a pass whose start was not received
         self.start_ns, self.foreign = self._planned_ns if self.foreign else self.start_ns, False
         self._distance: float | None = None
@@ -141,7 +141,7 @@ class PassInbox:
         if self.foreign:
             self._foreign_pose(time, sample)
             return
-        last = next(reversed(self._poses), -1)
+        last, early = next(reversed(self._poses), -1), []
         if self._is_foreign(time):
             self.ignored += 1
             start = self._start_of(sample) if last < 0 else None
@@ -149,8 +149,8 @@ class PassInbox:
                 self.begin(start)
             return
         if time == 0 and list(self._poses) != [0]:  # a later start begins another pass
-            self.clear(self._early)
-            last = -1
+            early, last = self._early, -1
+            self.clear()
         unstarted = last < 0 and time != 0
         if time != last and (time < last or last >= self.end_ns or unstarted):
             self.ignored += 1  # older than the last one, after the end, or without the start
@@ -159,6 +159,8 @@ class PassInbox:
         # repeated where the exchange is iterated, or the robot asked again
         self._poses[time] = sample.position, sample.quaternion
         self._last_poses -= time >= self.end_ns
+        for wrench in early:
+            self.wrench(wrench)
 
     def _is_foreign(self, time: int) -> bool:
         """Return whether a time cannot be a stamp of the simulated robot."""
@@ -244,10 +246,12 @@ class PassInbox:
         self._before.append(sample)
         time = sample.stamp - self.start_ns
         if time == 0 and list(self._poses) != [0]:
-            self._early = {0: (sample.frame, sample.wrench)}  # it may overtake the pose that it answers
+            self._early = [sample]  # it may overtake the pose that it answers, and so may those after it
         elif self._poses and not self._is_foreign(time):
             self.wrenches[time] = sample.frame, sample.wrench
             self._last_wrenches -= time >= self.end_ns
+        elif self._early and not self._is_foreign(time):
+            self._early.append(sample)
 
     def received(self) -> ReceivedPass:
         """Return what has come; the wrenches of a tool frame are turned by the pose before them.
