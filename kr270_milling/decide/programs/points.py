@@ -11,7 +11,6 @@ another SCIRC, and SPL segments need a tenth fewer points with arcs between them
 
 from __future__ import annotations
 
-import functools
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -360,7 +359,7 @@ def _errors(
                 written = Trajectory(run.time_ns[at], places, run.quaternion[at])
                 angle = turned(written.sample_orientation(run.time_ns[first]), run.quaternion[first])
                 distances.append(LEVER * angle)
-        return functools.reduce(np.maximum, distances)
+        return np.max(distances, axis=0)
 
     latest = unknown()
     if spline and original.velocity is not None and revised.velocity is not None:
