@@ -208,7 +208,7 @@ def _stretches(path: Toolpath) -> np.ndarray:
     # [rad], turn of the path that ends a stretch
     corner = np.sum(start[1:] * end[:-1], axis=1) < np.cos(0.1)
     changed = [values[2:] != values[1:-1] for values in (path.feed, path.rapid, path.drilling, path.feature)]
-    last = np.append(np.flatnonzero(np.logical_or.reduce([corner, *changed])) + 1, len(path) - 1)
+    last = np.append(np.flatnonzero(np.any([corner, *changed], axis=0)) + 1, len(path) - 1)
     border = np.cumsum(path.block_length)[last]
     length = np.diff(border, prepend=0.0)
     steady = path.rapid[last] | path.drilling[last]

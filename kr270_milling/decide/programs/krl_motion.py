@@ -55,7 +55,7 @@ def position_text(row: Sequence[float], status: int, turn: int, external: Sequen
     return f"{frame_text(row)},S {status},T {turn},{_external_text(external)}"
 
 
-def axis_text(degrees: Sequence[float], external: Sequence[float]) -> str:
+def axis_text(degrees: Sequence[float] | np.ndarray, external: Sequence[float]) -> str:
     """An E6AXIS; external: E1 to E6."""
     return ",".join(f"A{i} {number(v, 4)}" for i, v in enumerate(degrees, 1)) + f",{_external_text(external)}"
 

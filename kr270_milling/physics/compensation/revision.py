@@ -263,7 +263,7 @@ def _slower(target: Trajectory, wanted: np.ndarray, slopes, bounds: Bounds) -> n
         for segment in (first, last) if tried else ():
             np.multiply.at(most, segment[over], 0.999 * max_change / change[over])
         knots = limit_change(wanted, most)
-    return knots * (max_change / change.max())  # the slope of a spline scales with its height
+    return knots * (max_change / np.max(change))  # the slope of a spline scales with its height
 
 
 def chord_error(target: Trajectory) -> float:

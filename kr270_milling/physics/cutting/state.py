@@ -98,7 +98,7 @@ def make_params(tool: Tool, cutting: Cutting, stock: Stock, micro_step: float) -
         pitch_steps=pitch_steps,
         steps=steps,
         tolerance=int(stock.floor_tolerance / stock.level_step),
-        window=int(pitch_steps.max()) + int(0.126 / micro_step) + 6,
+        window=int(np.max(pitch_steps)) + int(0.126 / micro_step) + 6,
         nominal=cutting.chip_angle == "nominal",
         lag=math.tan(tool.helix) / micro_step,
     )

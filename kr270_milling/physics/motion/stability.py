@@ -85,7 +85,7 @@ def stability_limit(
     pitches = tool.pitches[:repeat]
     density = NODES if repeat == 1 else 2 * NODES  # kinks of G are between the nodes of unequal teeth
     period = float(pitches.sum()) / speed
-    nodes = _nodes(entry, leave, float(pitches.mean()), math.ceil(density * float((waves * slower).max())) + 8, density)
+    nodes = _nodes(entry, leave, float(pitches.mean()), math.ceil(density * float(np.max(waves * slower))) + 8, density)
     inverse_depths = _inverse_depths(modes, tool, cutting, feed_per_tooth, *nodes, pitches, speed)
     inverse, frequency = _largest_real(inverse_depths, _starts(modes, period), 1.0 / deepest)
     if math.isnan(frequency):

@@ -190,6 +190,6 @@ def mode_frequencies(compliance: np.ndarray, mass: np.ndarray) -> np.ndarray:
     squares = np.linalg.eigvals(np.swapaxes(root, -1, -2) @ compliance @ root).real  # 1 / omega^2
     squares = -np.sort(-squares, -1)
     moving = squares > 1e-12 * squares[..., :1]
-    modes = int(moving.sum(-1).max()) if moving.size else 0
+    modes = int(np.max(moving.sum(-1))) if moving.size else 0
     with np.errstate(divide="ignore", invalid="ignore"):
         return np.where(moving, 1 / (2 * np.pi * np.sqrt(np.abs(squares))), np.inf)[..., :modes]

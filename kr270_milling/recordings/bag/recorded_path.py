@@ -86,7 +86,7 @@ def _feeds(time: np.ndarray, position: np.ndarray, moves: np.ndarray, feed_rate:
         raise ValueError(f"pose {k + 2} needs a later stamp than the pose before")
     length = np.linalg.norm(np.diff(position, axis=0), axis=1)
     feed = length / np.maximum(step, 1) * 1e9
-    if not feed.max() <= REACH:
+    if not np.max(feed) <= REACH:
         k = int(np.argmax(feed))
         raise ValueError(f"by its stamps the tool would go to pose {k + 2} at {feed[k]:.3g} m/s")
     # six digits: stamps are whole nanoseconds and would turn one feed into many

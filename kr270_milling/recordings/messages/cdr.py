@@ -194,7 +194,8 @@ def _alike(cursor: Cursor, bodies: int, window: int) -> np.ndarray:
     fields["nanoseconds"] = f"{order}u4", cursor.skip(4) - begin
     formats, offsets = zip(*fields.values(), strict=True)
     stride = cursor.offset - begin
-    layout = np.dtype({"names": list(fields), "formats": formats, "offsets": offsets, "itemsize": stride})
+    fixed = {"names": list(fields), "formats": formats, "offsets": offsets, "itemsize": stride}
+    layout: np.dtype = np.dtype(fixed)  # type: ignore[call-overload]
     # where the stride is a multiple of 8 the numbers of the next point have the same offsets
     rows = 1 if stride % 8 else min(window, (len(cursor.data) - begin) // stride)
     points = np.frombuffer(cursor.data, layout, rows, begin)

@@ -356,11 +356,11 @@ class Problem:
             theta = theta + step
             far = ~(np.abs(theta).max(1) < most_bend)
             if far.any():
-                raise self._no_equilibrium(int(far.argmax()), c)
+                raise self._no_equilibrium(int(np.argmax(far)), c)
             if np.abs(step).max() < precision:
                 by_axis = np.linalg.solve(left, torque[:, :, None] * np.eye(len(c)))
                 return self._frames(q + theta), by_axis
-        raise self._no_equilibrium(int(np.abs(step).max(1).argmax()), c)
+        raise self._no_equilibrium(int(np.argmax(np.abs(step).max(1))), c)
 
     def _no_equilibrium(self, row: int, c: np.ndarray) -> ModelError:
         shown = ", ".join(f"{1e6 * compliance:.3g}" for compliance in c[-6:])

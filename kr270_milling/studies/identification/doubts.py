@@ -360,7 +360,7 @@ def hammer_doubts(
         4.44822: "forces in pounds instead of N",
         1e-3: "forces in mN instead of N",
     }
-    if factor > UNLIKELY or (factor < 1 / UNLIKELY and omega.min() < NEAR * first):
+    if factor > UNLIKELY or (factor < 1 / UNLIKELY and np.min(omega) < NEAR * first):
         cause = likely_factor(factor, units) or ": is a unit wrong, or the cell that of another arm?"
         return [Doubt(f"{shown}, {factor:.3g} times that of the cell{cause}", True)]
     return []
