@@ -192,6 +192,8 @@ KINDS = {
         "warning"),
     "feed unit": Kind("1", "", "Other controls count it in the new unit: write F in the lines after G20 or G21.",
         "warning"),
+    "parameter unit": Kind("1", "", "LinuxCNC counts it in the unit of the machine: write a number, or post in mm.",
+        "warning"),
     "length number": Kind("1", "", "A control adds the length of another tool: write the H of the tool, or check that "
         "both have the same length.", "warning"),
     "length end": Kind("1", "", "A control may move down by the length: write G49 after G28 or G53.", "warning"),

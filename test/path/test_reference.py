@@ -35,6 +35,7 @@ ENDS = {
     "G52 X4\nX1\nG52 X0\nX1": [5, 1],
     "G52 X4\nX1\nG92.2\nX2\nG92.3\nX3\nG92.1\nX4": [5, 2, 7, 4],
     "G10 L2 P1 X1 Y2 Z3\nG1 X0\nG53 X5 Z4\nX2 Y0": [1, (5, 0, 4), (3, 2, 4)],
+    "G81 X1 Z-2 R1\nG53 G1 X9 Z-1\nX5": [(1, 0, -2), (9, 0, -1), (5, 0, -1)],  # G1 ends the cycle
     # around an outside corner, into an inside one, onto an arc, out
     "G41.1 D4\nX10\nX20\nY-10\nX30\nG40\nX50": [(10, 2), (20, 2), (22, 0), (22, -8), (30, -8), (50, -10)],
     "G41.1 D4\nG3 X10 Y10 J10\nG1 Y20\nG40\nG1 X-9": [(8, 10), (8, 20), (-9, 20)],
