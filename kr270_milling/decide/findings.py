@@ -192,6 +192,7 @@ KINDS = {
         "warning"),
     "feed unit": Kind("1", "", "Other controls count it in the new unit: write F in the lines after G20 or G21.",
         "warning"),
+    "no unit": Kind("1", "", "Compare a length with the part; write G21 or G20 in the first line.", "warning"),
     "parameter unit": Kind("1", "", "LinuxCNC counts it in the unit of the machine: write a number, or post in mm.",
         "warning"),
     "length number": Kind("1", "", "A control adds the length of another tool: write the H of the tool, or check that "

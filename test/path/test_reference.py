@@ -102,6 +102,7 @@ OTHER_ENDS = {
     "G65 P9 A1.5 X4\nM30\nO9\nX#1 Y#24\nM99": [(1.5, 4)],
     "#1=1\nWHILE [#1 LE 2] DO1\nX#1\n#1=[#1+1]\nEND1\nIF [#1 EQ 3] GOTO 9\nX50\nN9 Y1": [1, 2, (2, 1)],
     "IF [2 GT 1] THEN X7\nGOTO 20\nX1\nN20 X8": [7, 8],
+    "IF [2 GT 1] THEN #9=7\nX#9": [7],
     "R1=2 R2=R1*(3+1)\nX=R2 Y=SQRT(R1*8)\nL7 P2\nM30\n%_N_L7_SPF\nG91 X=R1\nM17": [(8, 4), (10, 4), (12, 4)],
 }
 REFUSED = {
@@ -140,6 +141,7 @@ REFUSED = {
     "M21\nX5": "without shift, rotation, mirror",
     "G10 L11 P1 R-5": "G10 states the wear of a tool",
     "(abort, no part)": "stops itself",
+    "IF [1 GT 0] GOTO 5\nX1\nM30\nN5 #3000=1 (no part)": "#3000 stops the program",
 }
 
 

@@ -395,12 +395,13 @@ class Machine:
         scout = copy.deepcopy(self)
         strokes = scout.contour = []
         run(scout)
-        radii = {tool.name: tool.diameter / 2 for tool in scout.program.described_tools(scout.first_unit or scout.unit)}
+        tools = scout.program.described_tools(scout.first_unit or scout.unit)
+        radii = {tool.name: 0.0 if tool.wear else tool.diameter / 2 or math.nan for tool in tools}
         for k, stroke in enumerate(strokes):
             if stroke is not None and math.isnan(stroke.radius):
-                strokes[k] = stroke._replace(radius=radii.get(stroke.tool, 0.0) or math.nan)
+                strokes[k] = stroke._replace(radius=radii.get(stroke.tool, math.nan))
                 if stroke.side and stroke.tool not in self.program.beside:
-                    self.program.beside[stroke.tool] = radii.get(stroke.tool, 0.0)
+                    self.program.beside[stroke.tool] = max(0.0, radii.get(stroke.tool, 0.0))
         for stroke in strokes:
             if stroke is not None and stroke.side and stroke.radius:
                 self.program.silent[f"moves {1e3 * stroke.radius:g} mm beside the contour"] += 1

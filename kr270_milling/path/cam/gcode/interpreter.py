@@ -100,6 +100,7 @@ class Interpreter(Machine):
         self.changes = changes  #: M6 changes the tool, else its T does
         self.offsets = Offsets(offsets)
         self.shift = self.offsets.shift
+        self.stated = False  #: the program states its unit
         self.fixed = True  #: the places of the cell hold, whatever G10 says
         self.next_tool = ""
         self.turning = 0
@@ -291,6 +292,7 @@ class Interpreter(Machine):
             self._save(groups["modes"])
         if "I" in axes and "L" in axes:
             self.pattern = self._pattern(groups, axes)
+        self.stated |= "unit" in groups
         for group in MODAL.keys() & groups.keys():
             setattr(self, group, MODAL[group][groups[group]])
         if "feed" in groups:

@@ -95,6 +95,8 @@ def gcode_path(
     interpreter = Interpreter(program, feed, changes_by_m6(lines), offsets)
     interpreter.kinematics = machine
     GcodeReader(program, interpreter).read(lines)
+    if not interpreter.stated:
+        program.doubtful.append(("no unit", "the program states no unit (G20 or G21): its lengths count in mm", 0))
     return program.finish(interpreter.first_unit or interpreter.unit)
 
 
