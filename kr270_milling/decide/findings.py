@@ -195,6 +195,10 @@ KINDS = {
         "warning"),
     "feed unit": Kind("1", "", "Other controls count it in the new unit: write F in the lines after G20 or G21.",
         "warning"),
+    "home sideways": Kind("mm",
+        "the move home of {axes} leaves sideways {value:.4g} mm below the top of the stock; the robot program goes up "
+        "before it, other controls do not",
+        "Retract along Z alone first.", "warning"),
     "no unit": Kind("1", "", "Compare a length with the part; write G21 or G20 in the first line.", "warning"),
     "parameter unit": Kind("1", "", "LinuxCNC counts it in the unit of the machine: write a number, or post in mm.",
         "warning"),

@@ -97,6 +97,8 @@ class SourceProgram:
     read_over: tuple[tuple[str, int], ...] = ()  #: words without effect on the path, and how often there are
     #: words that another control may run in another way: kind of the finding, sentence, line
     doubtful: tuple[tuple[str, str, int], ...] = ()
+    #: moves home along X or Y by a tool that was not taken up before: their axes, height [m] where they begin, line
+    sideways: tuple[tuple[str, float, int], ...] = ()
     refused: tuple[Refusal, ...] = ()
 
     @property

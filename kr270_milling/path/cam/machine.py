@@ -329,6 +329,9 @@ class Machine:
         if feeds and axes and "Z" not in axes and self.position[2] <= 0.0:
             reason = "a cut to a place of the machine, which is not known"
             self.program.refuse(axes[0], reason, "let the CAM output coordinates of the workpiece", lost=True)
+        program = self.program
+        if not {"X", "Y"}.isdisjoint(axes) and self.position[2] != TOP and len(program) and not program.away:
+            program.sideways += [(" ".join(axes), self.on_path(self.position)[2], program.line)] * program.active
         if "Z" in axes:
             self.position[2] = TOP
             self.go(self.tip)

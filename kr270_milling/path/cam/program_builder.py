@@ -57,6 +57,7 @@ class ProgramBuilder(PathBuilder):
         self.feed_units: dict[str, None] = {}  #: units of the F words, in their order
         self.silent: Counter[str] = Counter()  #: words that move nothing
         self.doubtful: list[tuple[str, str, int]] = []  #: as in ``SourceProgram``
+        self.sideways: list[tuple[str, float, int]] = []  #: as in ``SourceProgram``
         self.skippable: dict[tuple[int, int], None] = {}  #: lines with an effect that have the sign of block skip
         self._before_change = 0  #: number of comments up to the last move
         self.words = {"used": 0, "counted": 0, "refused": 0}  #: the numbers of words: all that were read
@@ -304,6 +305,7 @@ class ProgramBuilder(PathBuilder):
             operations=tuple(names[k] for k in cut_features(columns)),
             read_over=tuple(self.silent.most_common()),
             doubtful=tuple(self.doubtful),
+            sideways=tuple(self.sideways),
             refused=tuple(sorted(refused, key=lambda refusal: refusal.line)),
         )
 
