@@ -125,6 +125,8 @@ LINES = {
     **dict.fromkeys(("IF R1>5 GOTOF A", 'EXTCALL "UP"'), "post without macros"),
     **dict.fromkeys(("M91", "L X+10 Y+5 R0 FMAX"), "Heidenhain"),
     **dict.fromkeys(('X="5"', 'S1="5"'), "is not known"),
+    **dict.fromkeys(("S2=100", "M2=3", "M2=5\nX1", "S1=8000\nS3=90"), "is another spindle than S1"),
+    **dict.fromkeys(("S1=8000 M1=3", "S1=8000\nM1=3"), ("", 0, 0, 800, 8000)),
     "G0 X0,0 Y1,5": "decimal comma",
     "G90.1 G2 X10 I5": "needs I and J",
     "M61 Q5": "T1 .* T5",
