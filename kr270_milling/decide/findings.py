@@ -199,6 +199,7 @@ KINDS = {
         "the move home of {axes} leaves sideways {value:.4g} mm below the top of the stock; the robot program goes up "
         "before it, other controls do not",
         "Retract along Z alone first.", "warning"),
+    "two diameters": Kind("1", "", "The first counts: give each tool its own number.", "warning"),
     "no unit": Kind("1", "", "Compare a length with the part; write G21 or G20 in the first line.", "warning"),
     "parameter unit": Kind("1", "", "LinuxCNC counts it in the unit of the machine: write a number, or post in mm.",
         "warning"),

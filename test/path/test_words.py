@@ -175,6 +175,9 @@ def test_a_line_is_refused_with_a_sentence_or_leads_to_the_right_place_at_its_fe
 
 DOUBTS = {
     "G20 F10": ("F10 in mm, the unit before G20", 6),
+    "(T1 D=10 flat end mill)\nX5\nT1 M6 (6 mm flat end mill)\nS8000 M3": ("the comments on T1 state 10 and 6 mm", 2),
+    "(T1 10 mm end mill)\nX5\n(6 mm deep with the end mill)\nX6\nT1 (end mill, D=10)": None,
+    "(T1 end mill)\nX5\nT1 (D=10 end mill)": None,
     "G20": ("F800 in mm, the unit before G20", 6),
     "G43 H7": ("H7 is not the number of T1", 6),
     "G0 Z9\nG99 G81 X5 Z-3 R2\nG91 X3\nG80 G90\nG1 Z-1": (

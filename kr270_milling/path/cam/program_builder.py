@@ -54,6 +54,7 @@ class ProgramBuilder(PathBuilder):
         self.beside: dict[str, float] = {}  #: tool -> radius in its comment [m], by which G41 and G42 move the path
         self.length_offsets: set[str] = set()  #: tools with a length that the program switches on
         self.known: dict[str, ProgramTool] = {}  #: tools by the words of the program, not by its comments
+        self.diameters: dict[str, tuple[float, float]] = {}  #: tools whose comments state two [m]
         self.feed_units: dict[str, None] = {}  #: units of the F words, in their order
         self.silent: Counter[str] = Counter()  #: words that move nothing
         self.doubtful: list[tuple[str, str, int]] = []  #: as in ``SourceProgram``
@@ -285,6 +286,10 @@ class ProgramBuilder(PathBuilder):
         if self.skippable:
             skipped = f"{counted(len(self.skippable), 'line')} with / run; block delete is assumed off"
             self.doubtful.append(("block skip", skipped, next(iter(self.skippable))[1]))
+        name, begin = self._runs.get(chosen, (chosen, 0))
+        if sizes := self.diameters.get(name):
+            text = f"the comments on {name or 'the tool'} state {1e3 * sizes[0]:g} and {1e3 * sizes[1]:g} mm"
+            self.doubtful.append(("two diameters", text, begin))
         names = list(self.features)
         return SourceProgram(
             title=self.title,
@@ -298,7 +303,7 @@ class ProgramBuilder(PathBuilder):
             stock=self.stock,
             tool_frame=self.displayed.get("$TOOL", ()),
             base_frame=self.displayed.get("$BASE", ()),
-            beside=self.beside.get(self._runs.get(chosen, (chosen, 0))[0], 0.0),
+            beside=self.beside.get(name, 0.0),
             work_offset=next(filter(None, frames["work offsets"]), self.frame["work offsets"]),
             files=tuple(map(str, self.files)),
             places=tuple(self.places),
@@ -326,6 +331,9 @@ class ProgramBuilder(PathBuilder):
         for comment, changed, beside in self.comments:
             tool = described_tool(comment, unit, changed or only, beside)
             if tool is not None:
+                first, numbered = known.get(tool.name, tool), beside or described_tool(comment, unit) is not None
+                if numbered and abs(first.diameter - tool.diameter) > 0.02 * first.diameter > 0.0 < tool.diameter:
+                    self.diameters[tool.name] = first.diameter, tool.diameter
                 known[tool.name] = known[tool.name].completed(tool) if tool.name in known else tool
         if only == "" and len(known) == 1:  # no T word: the one tool of the comments, whatever its number
             known = {"": next(iter(known.values()))}
