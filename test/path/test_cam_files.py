@@ -68,7 +68,7 @@ CONVERSATIONAL = {
     "L X+1 M128": [1], "CYCL DEF 209 TAPPING": "CYCL DEF 200, 201, 203, 205 and 240 are read",
     "CYCL DEF 7.0 DATUM SHIFT\nCYCL DEF 7.1 X+5\nL X+1\nTRANS DATUM RESET\nL X+2": [6, 2],
     "CYCL DEF 7.0\nCYCL DEF 7.1 X+5\nCYCL DEF 7.0\nCYCL DEF 7.1 IX+1\nL X+1": [7],
-    **dict.fromkeys(("CYCL DEF 8.0 MIRROR IMAGE\nCYCL DEF 8.1 X Y", "CYCL DEF 10.1 ROT+Q0"), "let the CAM output other"),
+    **dict.fromkeys(("CYCL DEF 8.0 MIRROR IMAGE\nCYCL DEF 8.1 X Y", "CYCL DEF 10.1 ROT+Q0"), "let the CAM output"),
     "CYCL DEF 8.0 MIRROR IMAGE\nCYCL DEF 8.1\nCYCL DEF 10.0 ROTATION\nCYCL DEF 10.1 ROT+0\nL X+1": [1],
     "PLANE SPATIAL SPA0 SPB10": "needs SPA, SPB, SPC", "PLANE VECTOR BX1": "let the CAM output PLANE SPATIAL",
     "L X+10,5": [10.5], "L X+1 Q": "is no word", "L X+Q9": "Q9 has no value", "L X+1 M89": "M89", "L X+1 M104": "M104",

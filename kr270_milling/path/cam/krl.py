@@ -563,7 +563,7 @@ class _KrlReader(Machine):
             raise KrlError(f"{moved[0]} moves between cuts; an external axis keeps one place")
         self.cut_external = names
         if self.cut_along_x not in (None, self.along_x):
-            raise KrlError("the tool is along z of $TOOL in one cut and along x in another: x points down in one of them")
+            raise KrlError("the tool is along z of $TOOL in one cut and along x, which points down, in another")
         self.cut_along_x = self.along_x
         self.program.external = tuple(names.get(name, 0.0) for name in EXTERNAL)
         for name, frame in self.frames.items():
