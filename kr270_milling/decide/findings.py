@@ -200,7 +200,7 @@ KINDS = {
         "before it, other controls do not",
         "Retract along Z alone first.", "warning"),
     "two diameters": Kind("1", "", "The first counts: give each tool its own number.", "warning"),
-    "no unit": Kind("1", "", "Compare a length with the part; write G21 or G20 in the first line.", "warning"),
+    "no unit": Kind("1", "", "Compare a length with the part; write its unit in the first line.", "warning"),
     "parameter unit": Kind("1", "", "LinuxCNC counts it in the unit of the machine: write a number, or post in mm.",
         "warning"),
     "length number": Kind("1", "", "A control adds the length of another tool: write the H of the tool, or check that "

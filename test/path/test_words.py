@@ -244,6 +244,15 @@ def test_a_statement_is_refused_with_a_sentence_or_leaves_the_cut_as_it_is(tmp_p
     assert path.program.spindle_speeds == pytest.approx((837.758,))
 
 
+@pytest.mark.parametrize(("old", "new", "kinds"), [
+    ("UNITS/MM\n", "", []), (",MMPM", "", []), ("UNITS/MM\n", "$$ FEDRAT/1,MMPM\n", []),
+    ("UNITS/MM\nLOADTL/1\nSPINDL/8000,RPM,CLW\nRAPID\nGOTO/0,0,10\nFEDRAT/500,MMPM", "GOTO/0,0,10\nFEDRAT/500", ["no unit"]),
+])  # fmt: skip
+def test_a_program_of_apt_without_a_unit_of_lengths_or_of_the_feed_is_noted(tmp_path, old, new, kinds):
+    (tmp_path / "part.apt").write_text(APT_HEAD.replace(old, new) + APT_END)
+    assert [row[0] for row in read_toolpath(tmp_path / "part.apt").program.doubtful] == kinds
+
+
 def test_used_and_counted_and_refused_statements_are_all():
     rng = random.Random(41)
     lines = (APT_HEAD + APT_END + "\n".join(STATEMENTS)).replace("FINI\n", "").split("\n")
