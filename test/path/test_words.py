@@ -246,7 +246,8 @@ def test_a_statement_is_refused_with_a_sentence_or_leaves_the_cut_as_it_is(tmp_p
 
 @pytest.mark.parametrize(("old", "new", "kinds"), [
     ("UNITS/MM\n", "", []), (",MMPM", "", []), ("UNITS/MM\n", "$$ FEDRAT/1,MMPM\n", []),
-    ("UNITS/MM\nLOADTL/1\nSPINDL/8000,RPM,CLW\nRAPID\nGOTO/0,0,10\nFEDRAT/500,MMPM", "GOTO/0,0,10\nFEDRAT/500", ["no unit"]),
+    ("UNITS/MM\nLOADTL/1\nSPINDL/8000,RPM,CLW\nRAPID\nGOTO/0,0,10\nFEDRAT/500,MMPM", "GOTO/0,0,9\nFEDRAT/5",
+     ["no unit"]),
 ])  # fmt: skip
 def test_a_program_of_apt_without_a_unit_of_lengths_or_of_the_feed_is_noted(tmp_path, old, new, kinds):
     (tmp_path / "part.apt").write_text(APT_HEAD.replace(old, new) + APT_END)
