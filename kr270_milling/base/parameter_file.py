@@ -7,6 +7,7 @@ import functools
 import json
 import math
 import os
+import re
 import sysconfig
 import typing
 from pathlib import Path
@@ -205,7 +206,8 @@ def _strict_loader():
 
         def construct_scalar(self, node):
             value = super().construct_scalar(node)
-            if ":" in value and node.tag in ("tag:yaml.org,2002:int", "tag:yaml.org,2002:float"):
+            number = node.tag in ("tag:yaml.org,2002:int", "tag:yaml.org,2002:float")
+            if number and re.search(r":|^[-+]?0[0-9_]", value):  # base 60; base 8, in which 010 is 8
                 raise yaml.YAMLError(f"{value} in line {node.start_mark.line + 1} is not a number")
             return value
 

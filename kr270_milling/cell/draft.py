@@ -138,6 +138,8 @@ def draft(file: str, paths: Sequence[Toolpath], robot: str) -> tuple[str, list[s
     program = paths[0].program
     stock, line = (Box(*np.reshape(program.stock, (2, 3))), 0) if program.stock else stock_of(paths)
     warnings = [warning for path in paths for warning in _unsaid(path)]
+    if len(frames := dict.fromkeys(path.program.work_offset or "G54" for path in paths)) > 1:
+        warnings.append(f"the tools cut in {' and '.join(frames)}: check needs their places, path.offsets_mm")
     values = STRAIGHT | _common(file, paths[0], stock) | {"path": f"      file: {_quoted(file)}"}
     if program.stock:
         values["stock_note"] = "[source: the program]; compare it with the blank"

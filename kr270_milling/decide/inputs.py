@@ -21,6 +21,7 @@ from kr270_milling.physics.cutting.laws import materials
 #: [rad] assumed: usual angles of a spindle from the axis of the flange, and how far bracket and calibration miss them
 MOUNTINGS, OFF_MOUNTING = np.radians([0.0, 30.0, 45.0, 60.0, 90.0]).tolist(), math.radians(5.0)
 SAME_PLACE, SAME_ANGLE = 0.1e-3, 0.01  #: [m], [deg] assumed: rounding and calibration of one frame
+HANGING = math.radians(100.0)  #: assumed: of z of the workpiece from straight up; tables and angle plates carry parts
 BEHIND = 1e-3  #: [m] that a calibrated tip may be behind the flange: the wrist is there
 #: section -> names of limits that neither arm nor spindle states -> 1: a larger limit finds less, -1: a smaller one
 LOOSER = {
@@ -136,6 +137,9 @@ def _placement(cell: Cell) -> list[Finding]:
         findings.append(violation("tool and grid", step, widest, diameter=1e3 * cell.tool.diameter))
     if away > reach:
         findings.append(violation("envelope", away, reach))
+    turn = float(np.arccos(np.clip(cell.workpiece.pose.rotation[2, 2], -1.0, 1.0)))
+    if turn > HANGING:
+        findings.append(violation("workpiece direction", turn, HANGING))
     return findings
 
 
@@ -195,6 +199,9 @@ def _program(cell: Cell) -> list[Finding]:
     findings += [
         violation(kind, 1.0, 0.0, sentence=sentence, line=line) for kind, sentence, line in path.program.doubtful
     ]
+    for axes, height, line in path.program.sideways:
+        if (depth := float(cell.stock.max[2]) - height) > 1e-6:  # rounding of a height
+            findings.append(violation("home sideways", depth, 0.0, line=line, axes=axes))
     if path.drilling.any():
         block = int(np.argmax(path.drilling))
         holes = int(np.sum(path.drilling[1:] & ~path.drilling[:-1]))

@@ -37,6 +37,7 @@ class ProgramTool:
     corner_radius: float = 0.0  #: [m], 0: sharp corners, or the program does not say
     kind: str = ""  #: kind of a tool that is no flat end mill; "": a flat one, or the program does not say
     inserts: bool = False  #: its comment names inserts, or a kind of mill that has inserts
+    wear: bool = False  #: its comment states that the path is that of the centre, and G41 and G42 add the wear alone
     length_offset: bool = False  #: the program switches on a length for this tool (G43)
 
     @property
@@ -69,7 +70,7 @@ class ProgramTool:
 
     def completed(self, other: ProgramTool) -> ProgramTool:
         """Return this description, with missing values taken from another description of the same tool."""
-        names = "description", "kind", "diameter", "teeth", "corner_radius", "inserts"
+        names = "description", "kind", "diameter", "teeth", "corner_radius", "inserts", "wear"
         return dataclasses.replace(self, **{name: getattr(self, name) or getattr(other, name) for name in names})
 
 
@@ -96,6 +97,8 @@ class SourceProgram:
     read_over: tuple[tuple[str, int], ...] = ()  #: words without effect on the path, and how often there are
     #: words that another control may run in another way: kind of the finding, sentence, line
     doubtful: tuple[tuple[str, str, int], ...] = ()
+    #: moves home along X or Y by a tool that was not taken up before: their axes, height [m] where they begin, line
+    sideways: tuple[tuple[str, float, int], ...] = ()
     refused: tuple[Refusal, ...] = ()
 
     @property

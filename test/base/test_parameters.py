@@ -219,7 +219,7 @@ FORM, NESTED = ["/**: ros__parameters"], ["nested too deeply"]
     (b"/**: !!python/object:os.system {}", ["YAML", "python/object"]), (b"<<: {a: 1}", ["YAML"]),
     *((f"/**: {value}".encode(), ["YAML"]) for value in (
         "!!map [3]", "!!timestamp never", "!!bool perhaps", "!!int ''", "!!float 1e", "2026-99-99")),
-    *((f"/**: {value}".encode(), ["YAML", value]) for value in ("1:30.0", "12:30")),
+    *((f"/**: {value}".encode(), ["YAML", value]) for value in ("1:30.0", "12:30", "010", "-0_17")),
     *((f"/**: {{{key}: 2}}".encode(), ["YAML", "not a text"]) for key in ("? [a, b] ", "1", "true")),
     *((opened * 600, NESTED) for opened in (b"[", b"{a: ", b"- ")), (b"x" * 300_000, ["more than 262144 bytes"]),
     (b"/**: {ros__parameters: {includes: kr270_2.yaml}}", ["includes", "a list of file names"]),

@@ -381,6 +381,11 @@ CASES = (
     warning("a path mostly beside the stock", "stock too small", "", SLOT.replace("G0 Z5", "G1 Y160\nG0 Z5"), limit=50),
     warning("a tool smaller than the grid", "tool and grid", "tool.diameter_mm=0.9", value=0.2, limit=0.0225),
     warning("a workpiece in another room", "envelope", "workpiece.xyz_mm=[0,-16331.9,485.7]", value=16.3319),
+    warning("a workpiece upside down", "workpiece direction", "workpiece.abc_deg=[0,0,180]", value=180, limit=100),
+    *(warning(f"{home} at cutting depth", "home sideways", "", SLOT.replace("G0 Z5", home), value=0.5, words=axes)
+      for home, axes in (("G91 G28 X0 Y0", "X Y"), ("G28", "X Y Z"), ("G53 G0 X0", "X"))),
+    *(Case(f"{home} above the part", "", "", SLOT.replace("G0 Z5", home))
+      for home in ("G1 Z1\nG28", "G91 G28 Z0\nG28 X0 Y0", "G53 G0 Z0\nG53 X0")),
     warning("nrad for urad", "compliance", f"{COMPLIANCE}=[700,300,400,900,900,2000]", value=700, limit=100),
     warning("mrad for urad", "compliance", f"{COMPLIANCE}=[7e-4,3e-4,4e-4,3e-3,3e-3,2e-3]", value=7e-4, limit=0.01),
     warning("grams for kilograms", "mass", "arm.link_mass_kg=[336800,259.4,85.2,54.5,36.3,18.2]", value=336800),

@@ -244,10 +244,11 @@ def test_a_dwell_has_no_feed_and_a_line_with_block_skip_is_run_and_stated(read):
     assert dict(path.program.read_over) == {"G4": 3}
     path = read(HIGH + "/G1 Z1 F600\n/2 X5\n")
     assert millimetres(path)[-1] == [5, 0, 1] and path.program.summary == "read over: 2 /"
-    (doubt,) = path.program.doubtful
+    _, doubt = path.program.doubtful  # after no unit
     assert doubt[:2] == ("block skip", "2 lines with / run; block delete is assumed off")
     path = read(HIGH + "G1 Z1 F600\n/N5 GOTO 9\nX5\nN9 X7\n/M1\n/N10 M8\n")  # M1 and M8 move nothing
-    assert [row[1][:7] for row in path.program.doubtful] == ["1 line "] and millimetres(path)[-1] == [7, 0, 1]
+    assert [row[1][:7] for row in path.program.doubtful] == ["the pro", "1 line "]
+    assert millimetres(path)[-1] == [7, 0, 1]
 
 
 # --- Names of operations and descriptions of tools, as posts write them into comments ---

@@ -127,7 +127,9 @@ def test_an_arc_with_a_stated_angle_has_its_length_and_keeps_its_radius(tmp_path
 
 
 REFUSED = [
-    ("LIN_REL {X 1} #TOOL", "is no expression"),
+    ("LIN_REL {X 1} #TOOL", "LIN_REL in the axes of the tool"),
+    ("LIN {X 3,A 0,B 90,C 0}", "along z of $TOOL in one cut and along x, which points down"),
+    ("$VEL={CP 0.1,ORI1 200}\n$VEL.CP=$VEL.CP*2000", "$VEL.CP must lie between"),
     ("PTP P7", "P7 has no value"),
     ("$VEL=5", "a value of another kind"),
     ("$OV_PRO={X 1}", "a value of another kind"),

@@ -35,6 +35,7 @@ ENDS = {
     "G52 X4\nX1\nG52 X0\nX1": [5, 1],
     "G52 X4\nX1\nG92.2\nX2\nG92.3\nX3\nG92.1\nX4": [5, 2, 7, 4],
     "G10 L2 P1 X1 Y2 Z3\nG1 X0\nG53 X5 Z4\nX2 Y0": [1, (5, 0, 4), (3, 2, 4)],
+    "G81 X1 Z-2 R1\nG53 G1 X9 Z-1\nX5": [(1, 0, -2), (9, 0, -1), (5, 0, -1)],  # G1 ends the cycle
     # around an outside corner, into an inside one, onto an arc, out
     "G41.1 D4\nX10\nX20\nY-10\nX30\nG40\nX50": [(10, 2), (20, 2), (22, 0), (22, -8), (30, -8), (50, -10)],
     "G41.1 D4\nG3 X10 Y10 J10\nG1 Y20\nG40\nG1 X-9": [(8, 10), (8, 20), (-9, 20)],
@@ -101,6 +102,7 @@ OTHER_ENDS = {
     "G65 P9 A1.5 X4\nM30\nO9\nX#1 Y#24\nM99": [(1.5, 4)],
     "#1=1\nWHILE [#1 LE 2] DO1\nX#1\n#1=[#1+1]\nEND1\nIF [#1 EQ 3] GOTO 9\nX50\nN9 Y1": [1, 2, (2, 1)],
     "IF [2 GT 1] THEN X7\nGOTO 20\nX1\nN20 X8": [7, 8],
+    "IF [2 GT 1] THEN #9=7\nX#9": [7],
     "R1=2 R2=R1*(3+1)\nX=R2 Y=SQRT(R1*8)\nL7 P2\nM30\n%_N_L7_SPF\nG91 X=R1\nM17": [(8, 4), (10, 4), (12, 4)],
 }
 REFUSED = {
@@ -139,6 +141,7 @@ REFUSED = {
     "M21\nX5": "without shift, rotation, mirror",
     "G10 L11 P1 R-5": "G10 states the wear of a tool",
     "(abort, no part)": "stops itself",
+    "IF [1 GT 0] GOTO 5\nX1\nM30\nN5 #3000=1 (no part)": "#3000 stops the program",
 }
 
 

@@ -125,6 +125,8 @@ LINES = {
     **dict.fromkeys(("IF R1>5 GOTOF A", 'EXTCALL "UP"'), "post without macros"),
     **dict.fromkeys(("M91", "L X+10 Y+5 R0 FMAX"), "Heidenhain"),
     **dict.fromkeys(('X="5"', 'S1="5"'), "is not known"),
+    **dict.fromkeys(("S2=100", "M2=3", "M2=5\nX1", "S1=8000\nS3=90"), "is another spindle than S1"),
+    **dict.fromkeys(("S1=8000 M1=3", "S1=8000\nM1=3"), ("", 0, 0, 800, 8000)),
     "G0 X0,0 Y1,5": "decimal comma",
     "G90.1 G2 X10 I5": "needs I and J",
     "M61 Q5": "T1 .* T5",
@@ -173,6 +175,9 @@ def test_a_line_is_refused_with_a_sentence_or_leads_to_the_right_place_at_its_fe
 
 DOUBTS = {
     "G20 F10": ("F10 in mm, the unit before G20", 6),
+    "(T1 D=10 flat end mill)\nX5\nT1 M6 (6 mm flat end mill)\nS8000 M3": ("the comments on T1 state 10 and 6 mm", 2),
+    "(T1 10 mm end mill)\nX5\n(6 mm deep with the end mill)\nX6\nT1 (end mill, D=10)": None,
+    "(T1 end mill)\nX5\nT1 (D=10 end mill)": None,
     "G20": ("F800 in mm, the unit before G20", 6),
     "G43 H7": ("H7 is not the number of T1", 6),
     "G0 Z9\nG99 G81 X5 Z-3 R2\nG91 X3\nG80 G90\nG1 Z-1": (
@@ -237,6 +242,16 @@ def test_a_statement_is_refused_with_a_sentence_or_leaves_the_cut_as_it_is(tmp_p
     path = read_toolpath(tmp_path / "part.apt")
     assert [50, 0, -1] in (1e3 * path.position).round(6).tolist() and set(path.feed[~path.rapid]) == {0.5 / 60}
     assert path.program.spindle_speeds == pytest.approx((837.758,))
+
+
+@pytest.mark.parametrize(("old", "new", "kinds"), [
+    ("UNITS/MM\n", "", []), (",MMPM", "", []), ("UNITS/MM\n", "$$ FEDRAT/1,MMPM\n", []),
+    ("UNITS/MM\nLOADTL/1\nSPINDL/8000,RPM,CLW\nRAPID\nGOTO/0,0,10\nFEDRAT/500,MMPM", "GOTO/0,0,9\nFEDRAT/5",
+     ["no unit"]),
+])  # fmt: skip
+def test_a_program_of_apt_without_a_unit_of_lengths_or_of_the_feed_is_noted(tmp_path, old, new, kinds):
+    (tmp_path / "part.apt").write_text(APT_HEAD.replace(old, new) + APT_END)
+    assert [row[0] for row in read_toolpath(tmp_path / "part.apt").program.doubtful] == kinds
 
 
 def test_used_and_counted_and_refused_statements_are_all():

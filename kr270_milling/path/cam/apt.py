@@ -64,6 +64,8 @@ def read_apt(path, tool: str = "", feed: float = 0.0) -> Toolpath:
     program = ProgramBuilder(path, f"T{int(tool)}" if tool.isdigit() else tool)
     reader = _AptReader(program, feed)
     reader.read(read_lines(path))
+    if not (reader.units_given or reader.metric):
+        program.doubtful.append(("no unit", "the program states no unit (UNITS/ or MMPM): its lengths count in mm", 0))
     return program.finish(reader.unit)
 
 
@@ -84,6 +86,7 @@ class _AptReader(Machine):
         self.circle: tuple[list[float], int] | None = None  #: its numbers and line, until the GOTO of its end
         self.systems: dict[str, list] = {}  #: word -> its values
         self.units_given = False
+        self.metric = False  #: a feed in MMPM or MMPR
         self.announced = False  #: a comment announced an operation by word
         self.holes: dict[str, float] = {}  #: depth, clear, step and back of the active CYCLE/ [m]
         self.feed_beside: tuple = ()  #: mode and feed of the moves that are no holes
@@ -487,6 +490,7 @@ class _AptReader(Machine):
         if len(rest) != 1 or len(units) > 1:
             raise StatementError("FEDRAT/ needs one number and, if any, MMPM, IPM, MMPR or IPR")
         length, per_turn = FEEDS[units[0]] if units else (None, False)
+        self.metric |= length == MM
         if length == INCH and not self.units_given:
             raise StatementError(f"FEDRAT/ in {units[0]} without UNITS/; add UNITS/INCHES or UNITS/MM before it")
         self.set_feed_mode(95 if per_turn else 94)

@@ -215,6 +215,7 @@ def described_tool(comment: str, unit: float, changed: str | None = None, beside
         corner_radius=radius,
         kind=kind,
         inserts=INSERTS.search(comment) is not None,
+        wear=re.search(r"\bwear comp", comment, re.I) is not None,  # Mastercam
     )
 
 

@@ -39,6 +39,7 @@ SILENT = re.compile(
 BLANK = re.compile(r"BLK FORM 0\.([12])(?: Z(?= ))? ([^Z].*)")  #: a corner of a box
 #: turns, mirrors, scales that change nothing with zeros alone
 RESETS = re.compile(r"CYCL DEF (?:8|10|11|19)\.[0-9]+")
+CHANGING = re.compile(r"[1-9Q]|^ ?[XYZ](?![A-Z])")  #: a value, or an axis that is mirrored
 SHIFT = re.compile(r"(?:CYCL DEF 7\.[0-9]+|TRANS DATUM)(?: DATUM SHIFT| AXIS| RESET)?")
 HOLES = re.compile(r"CYCL DEF (200|201|203|205|240) ")
 COMMA = re.compile(r"(?<=[0-9]),(?=[0-9])(?=[^\"]*(?:\"[^\"]*\"[^\"]*)*\Z)")  #: of a number, not of a name
@@ -164,7 +165,7 @@ class _Conversational(Machine):
             self._shift(text)
         elif word == "PLANE" and text.split()[1:2] and text.split()[1] in {*PLANES, "RESET"}:
             self._plane(text)
-        elif SILENT.match(text) or (RESETS.match(text) and not re.search(r"[1-9]", RESETS.sub("", text, count=1))):
+        elif SILENT.match(text) or (RESETS.match(text) and not CHANGING.search(RESETS.sub("", text, count=1))):
             self._note(text)
         elif text.startswith(("M", "STOP M")):
             self._block("L", " " + text.removeprefix("STOP "))
@@ -186,7 +187,7 @@ class _Conversational(Machine):
             if axis in words:
                 place[k] = words[axis] * self.unit
             place[k] += words.get(f"I{axis}", 0.0) * self.unit
-        if "DATUM SHIFT" not in text:  # the head of the cycle
+        if not text.startswith("CYCL DEF 7.0"):  # the head of the cycle
             self.datum = place
             self.set_shift((1 + 0j, complex(*place[:2]), place[2]) if any(place) else None)
 

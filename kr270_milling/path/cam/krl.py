@@ -121,6 +121,7 @@ class _KrlReader(Machine):
         self.cut_external: dict[str, float] | None = None  #: those of the first cut
         self.frames: dict[str, dict] = {}  #: $TOOL and $BASE that are given by numbers
         self.along_x = False  #: the tool is along x of $TOOL
+        self.cut_along_x: bool | None = None  #: that of the first cut
         self.spline: list[_Segment] | None = None  #: segments of the SPLINE block that is read
 
     # --- files to routines ---
@@ -309,6 +310,8 @@ class _KrlReader(Machine):
         if name == "$POS_ACT" and not any(map(math.isnan, self.position)):
             place = [value / MM for value in self.position]
             return dict(zip(FRAME, [*place, *(self.abc or (0.0, 0.0, 0.0))], strict=True)) | self.external
+        if name == "$VEL" and self.feed:
+            return {"CP": self.feed}
         if name == "$NULLFRAME":
             return dict.fromkeys(FRAME, 0.0)
         value = self._holder(name).get(name)
@@ -450,6 +453,8 @@ class _KrlReader(Machine):
         if blend := re.search(r"\s(?:C_(?:DIS|VEL|ORI|PTP|SPL)\b\s*)+\Z", text, re.I):
             self.program.count(blend[0].strip().upper())
             text = text[: blend.start()]
+        if relative and re.search(r"#TOOL\Z", text, re.I):
+            raise KrlError(f"{kind}_REL in the axes of the tool (#TOOL); {POST}")
         targets = parts(re.sub(r"\s*#BASE\Z", "", text, flags=re.I) if relative else text)
         angle = self._value(targets.pop().split(None, 1)[1]) if re.match(r"CA\s", targets[-1], re.I) else None
         if len(targets) != (2 if kind == "CIRC" else 1):
@@ -557,6 +562,9 @@ class _KrlReader(Machine):
         if moved:
             raise KrlError(f"{moved[0]} moves between cuts; an external axis keeps one place")
         self.cut_external = names
+        if self.cut_along_x not in (None, self.along_x):
+            raise KrlError("the tool is along z of $TOOL in one cut and along x, which points down, in another")
+        self.cut_along_x = self.along_x
         self.program.external = tuple(names.get(name, 0.0) for name in EXTERNAL)
         for name, frame in self.frames.items():
             placed = composed(frame, {"B": 90.0}) if name == "$TOOL" and self.along_x else frame

@@ -329,6 +329,9 @@ class Machine:
         if feeds and axes and "Z" not in axes and self.position[2] <= 0.0:
             reason = "a cut to a place of the machine, which is not known"
             self.program.refuse(axes[0], reason, "let the CAM output coordinates of the workpiece", lost=True)
+        program = self.program
+        if not {"X", "Y"}.isdisjoint(axes) and self.position[2] != TOP and len(program) and not program.away:
+            program.sideways += [(" ".join(axes), self.on_path(self.position)[2], program.line)] * program.active
         if "Z" in axes:
             self.position[2] = TOP
             self.go(self.tip)
@@ -395,12 +398,13 @@ class Machine:
         scout = copy.deepcopy(self)
         strokes = scout.contour = []
         run(scout)
-        radii = {tool.name: tool.diameter / 2 for tool in scout.program.described_tools(scout.first_unit or scout.unit)}
+        tools = scout.program.described_tools(scout.first_unit or scout.unit)
+        radii = {tool.name: 0.0 if tool.wear else tool.diameter / 2 or math.nan for tool in tools}
         for k, stroke in enumerate(strokes):
             if stroke is not None and math.isnan(stroke.radius):
-                strokes[k] = stroke._replace(radius=radii.get(stroke.tool, 0.0) or math.nan)
+                strokes[k] = stroke._replace(radius=radii.get(stroke.tool, math.nan))
                 if stroke.side and stroke.tool not in self.program.beside:
-                    self.program.beside[stroke.tool] = radii.get(stroke.tool, 0.0)
+                    self.program.beside[stroke.tool] = max(0.0, radii.get(stroke.tool, 0.0))
         for stroke in strokes:
             if stroke is not None and stroke.side and stroke.radius:
                 self.program.silent[f"moves {1e3 * stroke.radius:g} mm beside the contour"] += 1

@@ -54,9 +54,11 @@ class ProgramBuilder(PathBuilder):
         self.beside: dict[str, float] = {}  #: tool -> radius in its comment [m], by which G41 and G42 move the path
         self.length_offsets: set[str] = set()  #: tools with a length that the program switches on
         self.known: dict[str, ProgramTool] = {}  #: tools by the words of the program, not by its comments
+        self.diameters: dict[str, tuple[float, float]] = {}  #: tools whose comments state two [m]
         self.feed_units: dict[str, None] = {}  #: units of the F words, in their order
         self.silent: Counter[str] = Counter()  #: words that move nothing
         self.doubtful: list[tuple[str, str, int]] = []  #: as in ``SourceProgram``
+        self.sideways: list[tuple[str, float, int]] = []  #: as in ``SourceProgram``
         self.skippable: dict[tuple[int, int], None] = {}  #: lines with an effect that have the sign of block skip
         self._before_change = 0  #: number of comments up to the last move
         self.words = {"used": 0, "counted": 0, "refused": 0}  #: the numbers of words: all that were read
@@ -284,6 +286,10 @@ class ProgramBuilder(PathBuilder):
         if self.skippable:
             skipped = f"{counted(len(self.skippable), 'line')} with / run; block delete is assumed off"
             self.doubtful.append(("block skip", skipped, next(iter(self.skippable))[1]))
+        name, begin = self._runs.get(chosen, (chosen, 0))
+        if sizes := self.diameters.get(name):
+            text = f"the comments on {name or 'the tool'} state {1e3 * sizes[0]:g} and {1e3 * sizes[1]:g} mm"
+            self.doubtful.append(("two diameters", text, begin))
         names = list(self.features)
         return SourceProgram(
             title=self.title,
@@ -297,13 +303,14 @@ class ProgramBuilder(PathBuilder):
             stock=self.stock,
             tool_frame=self.displayed.get("$TOOL", ()),
             base_frame=self.displayed.get("$BASE", ()),
-            beside=self.beside.get(self._runs.get(chosen, (chosen, 0))[0], 0.0),
+            beside=self.beside.get(name, 0.0),
             work_offset=next(filter(None, frames["work offsets"]), self.frame["work offsets"]),
             files=tuple(map(str, self.files)),
             places=tuple(self.places),
             operations=tuple(names[k] for k in cut_features(columns)),
             read_over=tuple(self.silent.most_common()),
             doubtful=tuple(self.doubtful),
+            sideways=tuple(self.sideways),
             refused=tuple(sorted(refused, key=lambda refusal: refusal.line)),
         )
 
@@ -324,6 +331,9 @@ class ProgramBuilder(PathBuilder):
         for comment, changed, beside in self.comments:
             tool = described_tool(comment, unit, changed or only, beside)
             if tool is not None:
+                first, numbered = known.get(tool.name, tool), beside or described_tool(comment, unit) is not None
+                if numbered and abs(first.diameter - tool.diameter) > 0.02 * first.diameter > 0.0 < tool.diameter:
+                    self.diameters[tool.name] = first.diameter, tool.diameter
                 known[tool.name] = known[tool.name].completed(tool) if tool.name in known else tool
         if only == "" and len(known) == 1:  # no T word: the one tool of the comments, whatever its number
             known = {"": next(iter(known.values()))}

@@ -147,8 +147,16 @@ G2 X1 Y0 I.5
 G5.1 X1.5 Y1 I.5 J0
 G0 Z.5
 o10 endsub
+o11 sub
+M73 S3000 M4
+M70 M5
+M71
+o11 endsub
 G43.1 Z-2
 G54 G0 X0 Y0 Z1
+M70
+o11 call
+M72
 o10 call [.1]
 G52 X2 Z.1
 o10 call [.2]
@@ -176,7 +184,7 @@ def test_programs_of_six_posts_and_one_with_macros_take_any_end_points(tmp_path,
     tool = "T1" if post.stem == "haas" else ""
     macro = post.stem in ("macro", "files")
     if macro:
-        before, sub, after = re.split(r"(?s)(o10 sub.*endsub\n)", MACRO)
+        before, sub, after = re.split(r"(?s)(o10 sub.*?endsub\n)", MACRO)
         (tmp_path / "10.ngc").write_text(sub)
         text = before + after if post.stem == "files" else MACRO
         post = tmp_path / post

@@ -222,6 +222,14 @@ def test_silent_and_second_robots_are_reported_and_the_pass_continues_with_the_s
     loop.matches(ran)
 
 
+def test_second_cutting_processes_are_reported(world, loop):
+    loop.reach(20)
+    second = world.partner("second")
+    second.create_publisher(*topics.WRENCH)
+    loop.reports.until(ROBOT, "two nodes publish wrench", ERROR)
+    world.remove(second)
+
+
 def test_map_of_the_part_comes_fresh_on_request_and_at_the_end(world, loop):
     """Also for a pass by hand whose cut stays active."""
     maps, cut = world.listen(loop.ear, topics.WORKPIECE), loop.cut

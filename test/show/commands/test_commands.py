@@ -123,6 +123,8 @@ def test_init_reports_guesses_that_hide_a_danger_and_refuses_a_tilted_tool(tmp_p
         answer = ask("init", "--gcode", str(tmp_path / "end.nc"), "--out", str(tmp_path / f"{name}.yaml"))
         assert answer.code == 0 and warnings in answer.err and bool(warnings) == bool(answer.err), answer.err
     assert read_cell(tmp_path / "ball.yaml").tool.type == "ball"
+    (tmp_path / "two.nc").write_text((PROGRAMS / "haas.nc").read_text().replace("G54 X20", "G55 X20"))
+    assert "cut in G54 and G55: check needs their places" in ask("init", "--gcode", str(tmp_path / "two.nc")).err
     tilted = "UNITS/MM\nMULTAX/ON\nFEDRAT/500,MMPM\nGOTO/0,0,5,0,0,1\nGOTO/9,0,0,0.9798,0,0.2\nFINI\n"
     (tmp_path / "tilted.apt").write_text(tilted)
     (tmp_path / "axes.nc").write_text(SLOT.replace("X-2 F", "X-2 A30 F"))

@@ -93,6 +93,8 @@ class Variables:
     def set(self, key: int | str, value: float) -> None:
         """Give a parameter a value; those of the control are read-only."""
         debug = 5599  # switches messages on (LinuxCNC)
+        if key == 3000:
+            raise ExpressionError("#3000 stops the program with an alarm (Fanuc, Haas)")
         if isinstance(key, int) and not 1 <= key <= 5000 and key != debug:
             raise ExpressionError(f"{_shown(key)} belongs to the control and cannot be set here")
         if isinstance(key, str) and self.of_machine(key) is not None:

@@ -26,8 +26,8 @@ DEEPEST = 10  #: sub-programs in sub-programs: LinuxCNC, INTERP_SUB_ROUTINE_LEVE
 MOST_FILES, MOST_BYTES = 100, 16_000_000  #: files with sub-programs of a program, bytes of each; assumed
 #: a text that has one of these somewhere may jump
 MAY_JUMP = re.compile(
-    r"M[ \t]*0*9[789](?![0-9])|G[ \t]*65(?![0-9])|GOTO|WHILE|^[ \t/]*(?:N[ \t0-9]+)?(?:L[ \t]*[0-9]"
-    r"|O[ \t]*(?:[<\[#]|[0-9]+[ \t]*[A-Z]))",
+    r"M[ \t]*0*9[789](?![0-9])|G[ \t]*65(?![0-9])|GOTO|WHILE|(?<![A-Z])IF[ \t]*\["
+    r"|^[ \t/]*(?:N[ \t0-9]+)?(?:L[ \t]*[0-9]|O[ \t]*(?:[<\[#]|[0-9]+[ \t]*[A-Z]))",
     re.M,
 )
 WORDS = "SUB|ENDSUB|RETURN|CALL|ELSEIF|IF|ELSE|ENDIF|WHILE|ENDWHILE|DO|REPEAT|ENDREPEAT|BREAK|CONTINUE"

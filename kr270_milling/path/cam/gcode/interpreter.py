@@ -100,6 +100,7 @@ class Interpreter(Machine):
         self.changes = changes  #: M6 changes the tool, else its T does
         self.offsets = Offsets(offsets)
         self.shift = self.offsets.shift
+        self.stated = False  #: the program states its unit
         self.fixed = True  #: the places of the cell hold, whatever G10 says
         self.next_tool = ""
         self.turning = 0
@@ -210,6 +211,8 @@ class Interpreter(Machine):
             return value if math.isfinite(value) and not self.side and not self.beside else None
         offsets = self.offsets
         index = key - 5221
+        if key != 5220 and 5211 <= key < 5421 and self.unit != MM:
+            self.program.doubt("parameter unit", f"#{key} counts in inches")
         if 5211 <= key <= 5213:
             return offsets.stored[key - 5211] / self.unit
         if key == 5220 and offsets.active in NAMES:
@@ -289,6 +292,7 @@ class Interpreter(Machine):
             self._save(groups["modes"])
         if "I" in axes and "L" in axes:
             self.pattern = self._pattern(groups, axes)
+        self.stated |= "unit" in groups
         for group in MODAL.keys() & groups.keys():
             setattr(self, group, MODAL[group][groups[group]])
         if "feed" in groups:
@@ -516,6 +520,8 @@ class Interpreter(Machine):
         G28 and G30 lead the named axes through their stated place: NIST RS274/NGC 3.5.8.
         """
         word, mode = word_of("G", groups["home"]), groups.get("motion")
+        if mode in (0, 1):
+            self.set_mode(mode)  # which ends a cycle
         if word == "G53" and (self.mode if mode is None else mode) in (0, 1) and self._in_machine(axes):
             return
         axes_home = [axis for axis in AXES if axis in axes]
@@ -523,8 +529,6 @@ class Interpreter(Machine):
         groups.pop("motion", None)
         if mode is not None and mode > 1:
             self.program.refuse(word, f"{word} occurs with an arc in one line")
-        elif mode is not None:
-            self.set_mode(mode)
         between = {
             axis: axes[axis]
             for axis in axes_home

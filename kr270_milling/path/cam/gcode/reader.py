@@ -95,6 +95,8 @@ def gcode_path(
     interpreter = Interpreter(program, feed, changes_by_m6(lines), offsets)
     interpreter.kinematics = machine
     GcodeReader(program, interpreter).read(lines)
+    if not interpreter.stated:
+        program.doubtful.append(("no unit", "the program states no unit (G20 or G21): its lengths count in mm", 0))
     return program.finish(interpreter.first_unit or interpreter.unit)
 
 
@@ -115,6 +117,7 @@ class GcodeReader:
         self.computed = False  #: words were computed, or lines not run in their order
         self.announced = ""  #: operation that a post announced by word
         self.percent = 0
+        self.spindle = ""  #: number of the spindle of S2=3000 and M2=3
 
     def read(self, lines: list[str]) -> None:
         """Up to the end of the program, or of the file."""
@@ -371,6 +374,11 @@ class GcodeReader:
         elif name == "FP" and ("G", 75.0) in words:
             self.program.count("FP")
         elif number and numbered and letter in "SM":
+            if letter == "S" or float(number) in (3, 4, 5):
+                self.spindle = self.spindle or ("1" if self.machine.speed else name[1:])
+                if self.spindle != name[1:]:
+                    reason = f"{name} is another spindle than S{self.spindle}"
+                    self.program.refuse(name, reason, "post the words of the milling spindle alone")
             words.append((letter, float(number)))
         elif numbered and letter in "XYZ" and any(word in words for word in homes):  # of the machine: it goes home
             words[:] = [word for word in words if word not in homes[:2]]

@@ -31,7 +31,7 @@ from kr270_milling.path.toolpath import Toolpath
 #: groups of words that place the coordinates: they stay before the first move
 PLACING = frozenset(("offset", "data", "preset"))
 ENDING = frozenset((0, 1, 2, 5, 9, 30, 60))  #: M words after the move of their line
-DROPPED = frozenset((17, 97, 98, 99))
+DROPPED = frozenset((17, 70, 71, 72, 73, 97, 98, 99))
 
 
 class _Expansion(Interpreter):
@@ -113,6 +113,11 @@ class _Expansion(Interpreter):
             hole = f"G99 G{cycle.kind} {xy} Z{_number(height)} R{_number(level)}{peck}{feed}"
             self._moves = [*self._moves[:count], hole, "G80", f"G0 {self._place(self.position)}"]
         return drilled
+
+    def restore(self, modes: dict[str, Any]) -> None:
+        super().restore(modes)
+        turning = {1: "M3", -1: "M4", 0: "M5"}[self.turning]
+        self.lines.append(f"{word_of('S', round(self.speed * 30 / math.pi, 6))} {turning}")
 
     def home(self, axes: list[str], feeds: bool = False) -> None:
         self._moves.append(" ".join(["G91 G28", *(f"{axis}0" for axis in axes)]))
