@@ -61,15 +61,15 @@ def compile_engagement() -> None:
 
 
 def compile_teeth() -> None:
-    """Compile the model of the teeth and the learning, then the cut and the check of a leaning tool."""
+    """Compile the cut and the check of a leaning tool, then the model of the teeth and the learning."""
     from samples.small_part import LEANING, compile_cut
 
     from kr270_milling.cell.jobs import compensated, simulate
     from kr270_milling.decide.check import check
 
+    check(compile_cut("engagement", gcode=LEANING))
     cell = compile_cut("teeth")
     compensated(cell, simulate(cell), "learned")
-    check(compile_cut("engagement", gcode=LEANING))
 
 
 @pytest.hookimpl(trylast=True)
