@@ -61,15 +61,15 @@ def compile_engagement() -> None:
 
 
 def compile_teeth() -> None:
-    """Compile the model of the teeth and the learning, then the cut and the check of a leaning tool."""
+    """Compile the cut and the check of a leaning tool, then the model of the teeth and the learning."""
     from samples.small_part import LEANING, compile_cut
 
     from kr270_milling.cell.jobs import compensated, simulate
     from kr270_milling.decide.check import check
 
+    check(compile_cut("engagement", gcode=LEANING))
     cell = compile_cut("teeth")
     compensated(cell, simulate(cell), "learned")
-    check(compile_cut("engagement", gcode=LEANING))
 
 
 @pytest.hookimpl(trylast=True)
@@ -93,9 +93,10 @@ def pytest_collection_modifyitems(items) -> None:
     """The first of two workers starts with the tests of graphs, the second with those of nodes in this process.
 
     Each kind takes turns (``own_turn``); a worker takes over the end of the other's share, which is of neither kind.
+    The tests of the demo follow each other, so that one worker runs the demo.
     """
     kinds: dict[str, list] = {"processes": [], "nodes": [], "": []}
-    for item in items:
+    for item in sorted(items, key=lambda item: "demo" not in item.fixturenames):
         kinds[kind_of(item.fixturenames)].append(item)
     before = max(0, len(items) // 2 - len(kinds["processes"]))
     items[:] = kinds["processes"] + kinds[""][:before] + kinds["nodes"] + kinds[""][before:]

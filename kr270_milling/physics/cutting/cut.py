@@ -43,9 +43,9 @@ class CutModel:
 
     params: Params | EngagementParams
     state: State | EngagementState
-    #: arguments of ``cut_undo``: True for the model of this cut, None for the other
+    #: arguments of ``cut_undo``, not fields of params: so all combinations share the compiled parts below ``engage``
     teeth: bool | None
-    mean: bool | None
+    mean: tuple[bool | None, bool | None] | None
     tilts = False  #: poses have the axis of the tool after the position of its tip, (6,)
 
     def __init__(self, tool: Tool, cutting: Cutting, stock: Stock):
@@ -98,7 +98,7 @@ class CutModel:
     def _cut(self, params, poses: np.ndarray, steps: np.ndarray, forces: np.ndarray, out: tuple) -> None:
         """Cut from each pose to the next, reached at micro-steps (n,); out: see ``engage``."""
         if self.mean:
-            engage(self.state, params, params.flat, params.profile, params.tilts, params.upright, poses, steps, *out)
+            engage(self.state, params, params.flat, params.profile, *self.mean, poses, steps, *out)
         else:
             sweep_teeth(self.state, params, poses, steps, forces, *out)
 
@@ -244,7 +244,7 @@ class EngagementCut(CutModel):
 
     params: EngagementParams
     state: EngagementState
-    teeth, mean = None, True
+    teeth = None
 
     def __init__(
         self,
@@ -259,7 +259,7 @@ class EngagementCut(CutModel):
         upright: bool = True,
     ):
         super().__init__(tool, cutting, stock)
-        self.tilts = tilts
+        self.tilts, self.mean = tilts, (tilts or None, upright or None)
         self.params = make_engagement_params(tool, cutting, stock, micro_step, bins, give, tilts, bounce, upright)
         self.state = make_engagement_state(self.params, stock)
 

@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
 from kr270_milling.base.compiled import compiled
 from kr270_milling.physics.cutting.engagement import (
     CONTACT,
@@ -38,7 +40,8 @@ from kr270_milling.physics.cutting.tilted import lower_tilted
 def cut_undo(s, teeth, mean):
     """Take the last step back; False where the undo log was too small and nothing was done.
 
-    teeth, mean: one is True, the model of the state s: the sweep of the teeth or the mean force; the other is None.
+    teeth, mean: the model of the state s. Of the sweep of the teeth True and None; of the mean force None, and
+    ``tilts`` and ``upright`` of ``engage``.
     """
     undone = False
     if teeth is not None:
@@ -52,8 +55,9 @@ def cut_undo(s, teeth, mean):
 def engage(s, p, flat, profile, tilts, upright, poses, steps, wrench, torque, volume):
     """Cut from each pose to the next, straight, with the mean force of the engagement.
 
-    s: state, changed; p: params; flat, profile, tilts, upright: fields of p, by which Numba chooses the parts; poses:
-    (n, 3) [m], workpiece frame, or (n, 6) with the axis after the tip; steps: micro-steps at which they are reached.
+    s: state, changed; p: params; flat, profile: fields of p; tilts: True: poses have an axis; upright: True: of some
+    steps that cut the axis is upright. Where one of the four is None, Numba compiles none of its parts. poses: (n, 3)
+    [m], workpiece frame, or (n, 6) with the axis after the tip; steps: micro-steps at which they are reached.
     Fills the rows from 1 on: mean wrench about the tip on the tool (n, 6) [N, N m], mean torque of the spindle (n,)
     [N m], removed volume (n,) [m^3].
     """
@@ -96,7 +100,8 @@ def engage(s, p, flat, profile, tilts, upright, poses, steps, wrench, torque, vo
             if flat is not None:
                 load = flat_part(s, p, x0, y0, z0, x1, y1, z1, passes, mean)
             if profile is not None:
-                used = 2 * p.widths.size, 0, p.profile.pieces.shape[0] - 1
+                # of the type that ``lower_upright`` returns: one ``edge_load`` for both
+                used = 2 * p.widths.size, np.int64(0), p.profile.pieces.shape[0] - 1
                 motion, frame = (0.0, 0.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
                 if upright is not None and not tilted:
                     motion, frame, used = lower_upright(s, p, x0, y0, z0, x1, y1, z1, passes)

@@ -125,8 +125,6 @@ class EngagementParams(NamedTuple):
     turns: np.ndarray  # (sectors, 2): cos and sin of the middle of each sector
     flat: bool | None  # True: a flat end and no profile, compiled without ``revolution``
     profile: Profile | None  # None: a flat end
-    tilts: bool | None  # True: poses have an axis; None: without it, compiled without ``tilted``
-    upright: bool | None  # None: no step that cuts has an upright axis, compiled without ``lower_upright``
 
 
 class EngagementState(NamedTuple):
@@ -181,8 +179,6 @@ def make_engagement_params(
         bounce=np.ones(LAYERS.size) if bounce is None else bounce,
         flat=flat_end or None,
         profile=profile,
-        tilts=tilts or None,
-        upright=upright or None,
         **tables(widest, stock.grid_step, bins),
     )
 

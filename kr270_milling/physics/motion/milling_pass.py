@@ -220,7 +220,7 @@ def _exchange(
                 torque = sweep(s, p, given[0], given[1], n * micro_steps, micro_steps, no_forces, answer)
             if mean is not None:
                 span[1] = count * micro_steps
-                engage(s, p, p.flat, p.profile, p.tilts, p.upright, given, span, answers, turned, taken)
+                engage(s, p, p.flat, p.profile, mean[0], mean[1], given, span, answers, turned, taken)
                 torque = turned[1]
             if silent[end]:
                 torque = 0.0

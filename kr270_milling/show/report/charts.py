@@ -79,12 +79,12 @@ def envelope_index(y: np.ndarray, buckets: int = BUCKETS) -> np.ndarray:
     return np.unique(np.concatenate(rows))
 
 
-def stations(series: Sequence[np.ndarray]) -> np.ndarray:
-    """Rows, ascending, that serve several series (n,) at once: their envelopes joined, at most about 2000 rows.
+def stations(series: Sequence[np.ndarray], most: int = 2000) -> np.ndarray:
+    """Rows, ascending, that serve several series (n,) at once: their envelopes joined, about ``most`` rows at most.
 
     All rows where there are no more. The overall extrema of every series are always among them.
     """
-    size, most = len(series[0]), 2000
+    size = len(series[0])
     if size <= most:
         return np.arange(size)
     even = np.linspace(0, size - 1, most // 3).astype(int)

@@ -11,6 +11,7 @@ from kr270_milling.base.frames import Pose
 from kr270_milling.decide.decision import Limit
 from kr270_milling.decide.part.assessment import judge
 from kr270_milling.show.report import judged, write_report
+from kr270_milling.show.report.charts import stations
 from kr270_milling.show.report.study_page import points, write_page
 
 WORDS = dict(source="cell.yaml", command="kr270_milling demo", date="2026-01-02")
@@ -38,8 +39,10 @@ MARKS = """() => {
 
 
 def shown(browser, directory, cell, passes, width: int, place: str = "", **words) -> Visit:
-    """The report of some passes, everything on it drawn; solids are small, since here the processor draws them."""
-    url = write_report(directory, cell, passes, **WORDS, **words).as_uri() + place
+    """The report of some passes, everything on it drawn; few stations and small solids: here the processor draws."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(stations, "__defaults__", (600,))
+        url = write_report(directory, cell, passes, **WORDS, **words).as_uri() + place
     visit = Visit(browser, url, width, dark=width < 600, touch=width < 600)
     visit.page.add_style_tag(content=".plot.robot, .plot.part { height: 150px !important; }")
     visit.ask("KR.drawEverything()")
@@ -193,7 +196,7 @@ def test_the_robot_holds_the_tool_where_it_is_commanded(visit, milled):
     cell, passes = milled
     model = visit.ask("() => KR.data.robot.pass_name")
     reference = next(p for p in passes if p.name == model).reference
-    for station in (0, 700):
+    for station in (0, 350):
         stamp = round(visit.ask("(k) => KR.data.linked.time[k]", station) * 1e9)
         tool = np.array(visit.ask("(k) => KR.toolAt(k)", station))
         expected = (cell.workpiece.pose @ Pose(reference.sample(stamp), np.eye(3))).position
