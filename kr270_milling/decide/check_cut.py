@@ -117,7 +117,9 @@ def engagement(cell: Cell, margin: float, ran: ScoredPass | None = None) -> Enga
         grid = with_profile(grid, cell.tool)
         narrow = np.maximum(radius - max(margin, ROUNDING) - sideways, 0.0)
         lost = np.full((2, *(grid.depth.shape if core else (0, 0))), -2.0, np.float32)
-        wanted = np.ones(len(moved), bool) if ran is None else _near_rapid(moved, rapid, grid.top, 2.0 * (radius + apart))
+        wanted = (
+            np.ones(len(moved), bool) if ran is None else _near_rapid(moved, rapid, grid.top, 2.0 * (radius + apart))
+        )
         every = round(4.0 * step / apart)  # places between two at which shank and holder are compared
         _meet(grid, np.zeros_like(grid.depth), moved, series, wanted, (radius, core), narrow, discs, every, lost, met)
     return Engagement(
