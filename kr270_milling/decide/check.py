@@ -30,6 +30,8 @@ from kr270_milling.decide.check_arm import (
     correction_size,
     link_contacts,
     load_reversals,
+    motion_violations,
+    reach_violations,
 )
 from kr270_milling.decide.check_cut import Contacts, Residue, cut_violations, path_contacts, residue_of
 from kr270_milling.decide.findings import SEVERITIES, Finding, gathered, placed, violation
@@ -188,13 +190,14 @@ def check(
     fed = path_of(cell).fed
     programmed = path_of(cell).target if fed is None else fed.trajectory
     run = programmed if reference is None else reference
-    results, joints = arm_violations(arm_of(cell), cell.limits, run)
-    path = path_of(cell)
+    arm, path = arm_of(cell), path_of(cell)
+    results, joints = reach_violations(arm, run)
     about: dict[str, Any] = {}  # what follows where the arm can make the path
-    reachable = joints is not None and not any(v.what == "joint limit" for v in results)
-    if reachable and reference is None and path.target is not run:
+    reachable = joints is not None and not results
+    if joints is not None and not reachable:
+        results += motion_violations(arm.arm, cell.limits, run, joints)
+    if reachable and reference is None:
         run = path.target  # slowed down to what the joints can do
-        results, _ = arm_violations(arm_of(cell), cell.limits, run)
     del joints  # ``_of_program`` frees them
     results += [*input_violations(cell), *more]
     if reachable:
@@ -208,12 +211,13 @@ def check(
         every = ran.result.every if ran else max(1, math.ceil(periods / MOST_ROWS))
         with ThreadPoolExecutor(max(1, cores() - 1)) as pool:  # beside the pass, which has a core for itself
             contacts = pool.submit(path_contacts, cell, run)
+            motion_of_arm = pool.submit(motion_violations, arm.arm, cell.limits, run, arm.joints(run))
             rigid = pool.submit(rigid_workpiece, cell, every) if not path.straight else None
             size, statement = pool.submit(_of_program, cell, run, robot_program), pool.submit(stability_statement, cell)
-            links = pool.submit(link_contacts, arm_of(cell), cell.tool.stick_out, cell.workpiece, cell.stock, run)
+            links = pool.submit(link_contacts, arm, cell.tool.stick_out, cell.workpiece, cell.stock, run)
             ran, cut, about["tolerance"] = _cut(cell, run, ran, contacts, rigid, progress)
             about["ran"], (about["blocks"], ends) = ran, size.result()
-            results += [*links.result(), *cut, *ends]
+            results = [*motion_of_arm.result(), *results, *links.result(), *cut, *ends]
             if robot_program.motion == "LIN" and not robot_program.blend_distance and about["blocks"]:
                 results.append(violation("no blending", about["blocks"].points, int(path.target.standing.sum())))
             about["rapid_moves"] = tuple(placed(path, run, f) for f in cut if f.what == "rapid in material")
