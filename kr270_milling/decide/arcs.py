@@ -105,19 +105,33 @@ def arcs_along(path: CellPath, earlier: Sequence[Removal] = ()) -> Arcs:
 
 
 @inner
-def _lower_outside(grid, radius, path, k):
-    """Lower what the tool cuts on the way to place k; nodes below a tool that sinks follow when the tool leaves them.
+def _lower_outside(grid, radius, path, start, k):
+    """Lower what the tool cuts on a straight way; nodes below a tool that sinks follow when the tool leaves them.
 
     The deepest place of the tool above a node is the first, the last, or one where the tool stops to sink.
     """
-    last, place = path[max(k - 1, 0)], path[k]
-    sinks, sank = k > 0 and place[2] < last[2], k > 1 and last[2] < path[k - 2, 2]
+    last, place = path[start], path[k]
+    sinks, sank = place[2] < last[2], start > 0 and last[2] < path[start - 1, 2]
     if sinks:  # the same way back: what it finds cut is what the tool has not left yet
         lower(grid, grid.depth, radius, place, last, sinks)
         return
     if sank:
         lower(grid, grid.depth, radius, last, last, not sank)
     lower(grid, grid.depth, radius, last, place, k > 0)
+
+
+@inner
+def _straight(path, start, end):
+    """Return whether evenly spaced places are on a straight line, on which the tool sinks all the way or never."""
+    same_line = 1e-9  # [m]
+    for k in range(start + 1, end + 1):
+        if (path[k, 2] < path[k - 1, 2]) != (path[end, 2] < path[start, 2]):
+            return False
+        for j in range(3):
+            line = path[start, j] + (k - start) / (end - start) * (path[end, j] - path[start, j])
+            if abs(path[k, j] - line) > same_line:
+                return False
+    return True
 
 
 @compiled
@@ -130,12 +144,18 @@ def _engage(grid, path, heading, radius, look, met):
     count, depth, least, most = met
     step = grid.step
     cuts = 1e-6  # [m] of depth, less is rounding
-    for k in range(path.shape[0]):
-        before = max(k - lag, 0)
+    for n in range(1 + (path.shape[0] - 1) // EVERY):
+        k = n * EVERY
+        before, at_once = max(k - lag, 0), 1
         if k >= lag:
-            _lower_outside(grid, radius, path, before)
-        n = k // EVERY
-        if k % EVERY or not look[n]:
+            start = max(before - EVERY, 0)
+            if start == 0:
+                _lower_outside(grid, radius, path, 0, 0)
+            if before > start and _straight(path, start, before):
+                at_once = before - start
+            for place in range(start, before, at_once):
+                _lower_outside(grid, radius, path, place, place + at_once)
+        if not look[n]:
             continue
         x, y, z = path[k]
         level = grid.top - max(z, path[before, 2]) - cuts  # a tool on its way down removes a little floor everywhere

@@ -21,6 +21,7 @@ from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import ScoredPass, simulate
 from kr270_milling.cell.models import arm_of, path_of
 from kr270_milling.cell.paths import CellPath
+from kr270_milling.cell.plant import cores
 from kr270_milling.cell.sections import Program, Tolerances
 from kr270_milling.decide.check_arm import (
     arm_violations,
@@ -29,20 +30,25 @@ from kr270_milling.decide.check_arm import (
     correction_size,
     link_contacts,
     load_reversals,
+    motion_violations,
+    reach_violations,
 )
 from kr270_milling.decide.check_cut import Contacts, Residue, cut_violations, path_contacts, residue_of
 from kr270_milling.decide.findings import SEVERITIES, Finding, gathered, placed, violation
 from kr270_milling.decide.inputs import input_violations
-from kr270_milling.decide.part.assessment import Judgement, judge
+from kr270_milling.decide.part.assessment import Judgement, assess, judge
+from kr270_milling.decide.part.surface import rigid_workpiece
 from kr270_milling.decide.programs.files import knot_feeds
 from kr270_milling.decide.programs.points import ProgramBlocks, fixed_knots, program_blocks, program_points
 from kr270_milling.decide.programs.written import drafted
 from kr270_milling.decide.stability import Stability, chatter_violations, stability_statement
 from kr270_milling.path.source_program import SourceProgram
 from kr270_milling.path.trajectory import Trajectory, TrajectoryError
+from kr270_milling.physics.cutting import CutModel
 from kr270_milling.physics.motion.milling_pass import FLIGHT, PassError
 from kr270_milling.physics.robot.errors import DeflectionError, EquilibriumError, UnstableLoadError
 
+MOST_ROWS = 2**19  #: of the series of the simulated pass, some 220 bytes each: 35 min at 4 ms
 WINDOW = 0.1  #: [s], over which the corrections of the mean force count: one period corrects the next
 
 
@@ -184,13 +190,14 @@ def check(
     fed = path_of(cell).fed
     programmed = path_of(cell).target if fed is None else fed.trajectory
     run = programmed if reference is None else reference
-    results, joints = arm_violations(arm_of(cell), cell.limits, run)
-    path = path_of(cell)
+    arm, path = arm_of(cell), path_of(cell)
+    results, joints = reach_violations(arm, run)
     about: dict[str, Any] = {}  # what follows where the arm can make the path
-    reachable = joints is not None and not any(v.what == "joint limit" for v in results)
-    if reachable and reference is None and path.target is not run:
+    reachable = joints is not None and not results
+    if joints is not None and not reachable:
+        results += motion_violations(arm.arm, cell.limits, run, joints)
+    if reachable and reference is None:
         run = path.target  # slowed down to what the joints can do
-        results, _ = arm_violations(arm_of(cell), cell.limits, run)
     del joints  # ``_of_program`` frees them
     results += [*input_violations(cell), *more]
     if reachable:
@@ -200,14 +207,17 @@ def check(
         straight = run.velocity is None and path.target.velocity is not None
         robot_program = cell.krl.replace(motion=motion or ("LIN" if straight else cell.krl.motion))
         results += _correction(cell, path.target, run, robot_program)
-        with ThreadPoolExecutor(2) as pool:  # beside the pass
-            contacts, statement = pool.submit(path_contacts, cell, run), pool.submit(stability_statement, cell)
-            links = pool.submit(link_contacts, arm_of(cell), cell.tool.stick_out, cell.workpiece, cell.stock, run)
-            size = pool.submit(_of_program, cell, run, robot_program)
-            ran, cut, judged = _cut(cell, run, ran, contacts, pool, progress)
+        periods = path.clock.steps(run.duration_ns)
+        every = ran.result.every if ran else max(1, math.ceil(periods / MOST_ROWS))
+        with ThreadPoolExecutor(max(1, cores() - 1)) as pool:  # beside the pass, which has a core for itself
+            contacts = pool.submit(path_contacts, cell, run)
+            motion_of_arm = pool.submit(motion_violations, arm.arm, cell.limits, run, arm.joints(run))
+            rigid = pool.submit(rigid_workpiece, cell, every) if not path.straight else None
+            size, statement = pool.submit(_of_program, cell, run, robot_program), pool.submit(stability_statement, cell)
+            links = pool.submit(link_contacts, arm, cell.tool.stick_out, cell.workpiece, cell.stock, run)
+            ran, cut, about["tolerance"] = _cut(cell, run, ran, contacts, rigid, progress)
             about["ran"], (about["blocks"], ends) = ran, size.result()
-            about["tolerance"] = judged and judged.result()
-            results += [*links.result(), *cut, *ends]
+            results = [*motion_of_arm.result(), *results, *links.result(), *cut, *ends]
             if robot_program.motion == "LIN" and not robot_program.blend_distance and about["blocks"]:
                 results.append(violation("no blending", about["blocks"].points, int(path.target.standing.sum())))
             about["rapid_moves"] = tuple(placed(path, run, f) for f in cut if f.what == "rapid in material")
@@ -285,17 +295,14 @@ def _cut(
     run: Trajectory,
     ran: ScoredPass | None,
     contacts: Future[Contacts],
-    pool: ThreadPoolExecutor,
+    rigid: Future[CutModel] | None,
     progress: Callable,
-) -> tuple[ScoredPass | None, list[Finding], Future[Judgement] | None]:
+) -> tuple[ScoredPass | None, list[Finding], Judgement | None]:
     """The pass along ``run``, simulated and judged where it was not yet, and what it shows."""
-    judged = None
     try:
         if ran is None:
             with progress("milling") as report:
-                most_rows = 2**19  # rows of the series of the simulated pass, some 220 bytes each: 35 min at 4 ms
-                ran = simulate(cell, run, "checked", report, most_rows=most_rows, quick=True)
-            judged = pool.submit(judge, cell, ran)
+                ran = simulate(cell, run, "checked", report, most_rows=MOST_ROWS, quick=True)
     except PassError as error:
         point = int(np.searchsorted(run.time, error.at)) + 1
         failed = violation("deflection", error.deflection, FLIGHT, point, sentence=str(error))
@@ -305,7 +312,8 @@ def _cut(
         failed = violation("load on the arm", error.load_factor, 1.0, sentence=str(error))
     else:
         with progress("stock and fixtures"):
-            return ran, cut_violations(cell, run, ran, contacts.result()), judged
+            cut = cut_violations(cell, run, ran, contacts.result())
+            return ran, cut, judge(cell, ran, assess(cell, ran, cut=rigid.result()) if rigid else None)
     return None, [failed, *(finding for part in contacts.result() for finding in part)], None
 
 

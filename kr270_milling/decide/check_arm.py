@@ -40,6 +40,12 @@ from kr270_milling.physics.robot.urdf import LINKS, link_capsules
 
 def arm_violations(placed: PlacedArm, limits: Limits, run: Trajectory) -> tuple[list[Finding], np.ndarray | None]:
     """The findings about the arm, and the joint positions [rad], (n, 6); None where a point is out of reach."""
+    results, joints = reach_violations(placed, run)
+    return results if joints is None else results + motion_violations(placed.arm, limits, run, joints), joints
+
+
+def reach_violations(placed: PlacedArm, run: Trajectory) -> tuple[list[Finding], np.ndarray | None]:
+    """The findings of ``arm_violations`` about reach and joint limits, and the joint positions."""
     most_turned = 4 * np.pi  # [rad], of joints that have no limits
     arm = placed.arm
     unlimited = arm.replace(joint_lower=np.full(6, -most_turned), joint_upper=np.full(6, most_turned))
@@ -57,10 +63,14 @@ def arm_violations(placed: PlacedArm, limits: Limits, run: Trajectory) -> tuple[
         point = (*error.index, 0)[0] + 1
         stuck = violation("singularity", error.measure, 0.0, point, sentence=f"point {point}: {error}")
         return _reach(placed, run) or [stuck], None
+    return _joint_limits(arm, joints), joints
+
+
+def motion_violations(arm: Arm, limits: Limits, run: Trajectory, joints: np.ndarray) -> list[Finding]:
+    """The findings about singularities, flips, speeds and accelerations at joint positions [rad], (n, 6)."""
     at_rest = run.velocity is not None and not run.velocity[[0, -1]].any()
-    results = _joint_limits(arm, joints) + _singularities(arm, limits, joints) + _flips(arm, joints)
     rates = _joint_rates(run.time, joints, arm.joint_speed_limit, arm.joint_acceleration_limit, at_rest)
-    return results + rates, joints
+    return _singularities(arm, limits, joints) + _flips(arm, joints) + rates
 
 
 def _reach(placed: PlacedArm, run: Trajectory) -> list[Finding]:

@@ -3,6 +3,7 @@ does vibration grow in the simulated pass."""
 
 from __future__ import annotations
 
+import functools
 import math
 from dataclasses import dataclass
 
@@ -83,7 +84,7 @@ def engagement(cell: Cell, margin: float, ran: ScoredPass | None = None) -> Enga
     down again along its cut, the deflection of the arm at this moment is no contact either: it is in its hole, and
     inertia may bend the arm by more than the cut did.
     """
-    position, axes, time, block, rapid, step = _places(cell)
+    position, axes, time, block, rapid, step, apart = _places(cell)
     series = np.where(rapid, np.cumsum(np.diff(rapid, prepend=False) & rapid), 0)
     depth, inner, volume, sunk, shank, holder = met = np.zeros((6, len(position)))
     radius = float(cell.tool.radii.max())
@@ -94,7 +95,7 @@ def engagement(cell: Cell, margin: float, ran: ScoredPass | None = None) -> Enga
             moved[:, k] += np.interp(at_ns, passed.time_ns, passed.actual[:, k] - passed.target[:, k])
         bend = np.stack([np.interp(at_ns, passed.time_ns, passed.deflection[:, k]) for k in range(3)], axis=1)
         across, along = (np.maximum(d, np.r_[d[:1], d[:-1]]) for d in map(np.abs, _split(bend, axes)))  # at both ends
-        leaves, again = _along_axis(position, axes, rapid, math.hypot(0.5 * step, cell.limits.rapid_contact))
+        leaves, again = _along_axis(position, axes, rapid, math.hypot(apart, cell.limits.rapid_contact))
         sideways, lengthwise = np.where(leaves | again, across, 0.0), np.where(leaves, along, 0.0)
     core = core_radius(radius) if ran is None and not cell.tool.centre_cutting else 0.0
     bodies = bodies_of(cell.tool) if ran is None else []
@@ -116,8 +117,11 @@ def engagement(cell: Cell, margin: float, ran: ScoredPass | None = None) -> Enga
         grid = with_profile(grid, cell.tool)
         narrow = np.maximum(radius - max(margin, ROUNDING) - sideways, 0.0)
         lost = np.full((2, *(grid.depth.shape if core else (0, 0))), -2.0, np.float32)
-        wanted = np.ones(len(moved), bool) if ran is None else _near_rapid(moved, rapid, grid.top, 2.0 * radius + step)
-        _meet(grid, np.zeros_like(grid.depth), moved, series, wanted, (radius, core), narrow, discs, lost, met)
+        wanted = (
+            np.ones(len(moved), bool) if ran is None else _near_rapid(moved, rapid, grid.top, 2.0 * (radius + apart))
+        )
+        every = round(4.0 * step / apart)  # places between two at which shank and holder are compared
+        _meet(grid, np.zeros_like(grid.depth), moved, series, wanted, (radius, core), narrow, discs, every, lost, met)
     return Engagement(
         position,
         axes,
@@ -327,14 +331,13 @@ def _discs(bodies: list[tuple[str, np.ndarray]], deepest: float) -> np.ndarray:
 
 
 @compiled
-def _meet(grid, ahead, path, series, wanted, radii, narrow, bodies, lost, met):
+def _meet(grid, ahead, path, series, wanted, radii, narrow, bodies, body_every, lost, met):
     """Fill ``met`` with what the tool meets on the way to each place that is wanted, and lower the map there.
 
     A series of rapid moves runs twice: first with the smaller radius of each place on the map ``ahead``, against the
     material before the series.
     """
     depth, inner, volume, sunk = met[:4]
-    body_every = 8  # places between two at which shank and holder are compared with the material
     for k in range(path.shape[0]):
         last, count = path[max(k - 1, 0)], path.shape[0]
         if not wanted[k]:
@@ -358,8 +361,10 @@ def _meet(grid, ahead, path, series, wanted, radii, narrow, bodies, lost, met):
                 met[row, k] = max(met[row, k], below - bodies[n, 1] - highest)
 
 
-def _places(cell: Cell) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray, float]:
-    """Tool tips, axes, times, blocks and whether these are rapid, half a node step apart, and the node step [m].
+@functools.lru_cache(maxsize=1)  # both calls of ``engagement`` need them
+def _places(cell: Cell) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray, float, float]:
+    """Tool tips, axes, times, blocks and whether these are rapid, the node step and the distance between two
+    places [m]: half a node, in a long path more.
 
     A tilted tool has a place at each node of the map of its cut; its path has approach and retract of the robot program
     at both ends.
@@ -378,16 +383,19 @@ def _places(cell: Cell) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray,
         (2.0 * np.pi * length * radius**2 / most_visits) ** (1.0 / 3.0),
         math.sqrt(area / most_nodes),
     )
+    most_places = 4e5  # of a longer path the places are up to two nodes apart
+    apart = max(0.5 * step, min(length / most_places, 2.0 * step))
     if path_of(cell).lean:
-        step = 2.0 * _coarse(cell).grid_step
-    count, upright = 2 + int(2.0 * length / step), np.array([0.0, 0.0, 1.0])
+        apart = _coarse(cell).grid_step
+        step = 2.0 * apart
+    count, upright = 2 + int(length / apart), np.array([0.0, 0.0, 1.0])
     if timed is None:
         time_ns = np.linspace(0, target.duration_ns, count).astype(np.int64)
         axes = np.broadcast_to(upright, (count, 3))
-        return target.sample(time_ns), axes, time_ns * 1e-9, np.zeros(count, int), np.zeros(count, bool), step
+        return target.sample(time_ns), axes, time_ns * 1e-9, np.zeros(count, int), np.zeros(count, bool), step, apart
     ends = np.cumsum(timed.toolpath.block_length)
     ways = np.cumsum(timed.toolpath.ways)  # the tool above the tip moves where it turns
-    count = max(count, 2 + int(2.0 * ways[-1] / step))
+    count = max(count, 2 + int(ways[-1] / apart))
     between = np.interp(np.linspace(0.0, ways[-1], count), ways, ends)
     distance = np.sort(np.concatenate([between, ends[1:]]))  # every corner too
     block = np.clip(np.searchsorted(ends, distance), 0, len(ends) - 1)  # where two meet, the one that ends
@@ -395,14 +403,15 @@ def _places(cell: Cell) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray,
     rapid = timed.toolpath.rapid[block]
     if not path_of(cell).lean:
         position = timed.toolpath.position_at(distance)
-        return position, np.broadcast_to(upright, position.shape), time, block, rapid, step
+        return position, np.broadcast_to(upright, position.shape), time, block, rapid, step, apart
     position, _, quaternion = timed.toolpath.on_path(distance)
     axes, safe = tool_axis(quaternion), cell.stock.max[2] + cell.krl.safe_height
     rises = [np.linalg.norm(lifted(position[k], axes[k], safe) - position[k]) for k in (0, -1)]
-    up, away = (np.linspace(0.0, way, 2 + int(2.0 * way / step))[1:] for way in rises)
+    up, away = (np.linspace(0.0, way, 2 + int(way / apart))[1:] for way in rises)
     lift = np.concatenate([up[::-1], np.zeros(len(position)), away])
     row = np.clip(np.arange(len(lift)) - len(up), 0, len(position) - 1)
-    return position[row] + lift[:, None] * axes[row], axes[row], time[row], block[row], rapid[row] | (lift > 0.0), step
+    rapid = rapid[row] | (lift > 0.0)
+    return position[row] + lift[:, None] * axes[row], axes[row], time[row], block[row], rapid, step, apart
 
 
 def cut_violations(cell: Cell, run: Trajectory, ran: ScoredPass, programmed: Contacts) -> list[Finding]:

@@ -23,6 +23,7 @@ ROUNDING = 1e-7  #: [m], of depths (float32) and radii
 merged = njit(**INNER, inline="always")
 ENTRIES = 512  #: of a profile
 VERTICAL = 1e-20  #: [m^2], square of the horizontal length below which a move is vertical
+LONGEST = 8  #: nodes of a move of a flat end at once; the profile of another end is compared at a node's distance
 
 
 class HeightMap(NamedTuple):
@@ -102,7 +103,8 @@ def lower(grid, depth, radius, start, end, cleared):
     Only nodes count that neither ``depth`` nor ``grid`` has as deep. cleared: whether all nodes within the radius of
     the start are that deep. Returns the deepest material of ``grid`` within the radius [m], and its volume [m^3].
     """
-    parts = 1 + int(math.hypot(end[0] - start[0], end[1] - start[1]) / grid.step)
+    nodes = math.hypot(end[0] - start[0], end[1] - start[1]) / grid.step
+    parts = 1 + int(nodes if grid.profile.size else (nodes - 1e-6) / LONGEST)
     deepest = volume = 0.0
     x, y, below = start[0], start[1], grid.top - start[2]
     for k in range(parts):
@@ -118,7 +120,7 @@ def lower(grid, depth, radius, start, end, cleared):
 
 @inner
 def _lower(grid, depth, radius, x, y, below, to_x, to_y, to_below, cleared):
-    """``lower`` on a way of at most one node; below, to_below: depths of the tip at its ends."""
+    """``lower`` on a way of at most ``LONGEST`` nodes; below, to_below: depths of the tip at its ends."""
     step, square, move_x, move_y = grid.step, radius**2, to_x - x, to_y - y
     way, most = move_x**2 + move_y**2, max(below, to_below)
     flat = grid.profile.size == 0
@@ -152,13 +154,14 @@ def _lower(grid, depth, radius, x, y, below, to_x, to_y, to_below, cleared):
 
 @inner
 def _rim(grid, square, x, y, move_x, move_y, cleared, first_i, end_i):
-    """Fill ``grid.rim`` with the nodes of each column that a move of at most one node may lower, last ones included.
+    """Fill ``grid.rim`` with the nodes of each column that a move may lower, last ones included.
 
     cleared: the circle about (x, y) is as deep; the ranges are then below and above the circle, else the first has all.
-    An end of the chord that is not farthest at an end of the move has a slack of two nodes, and each has that of a
+    An end of the chord that is not farthest at an end of the move has a slack of twice the move, and each has that of a
     rounding.
     """
     scale, tiny, rim = 1.0 / grid.step, 1e-6, grid.rim
+    slack = tiny + 2.0 * scale * math.sqrt(move_x**2 + move_y**2)
     for i in range(first_i, end_i):
         u = grid.x + i * grid.step - x
         w = u - move_x
@@ -170,8 +173,8 @@ def _rim(grid, square, x, y, move_x, move_y, cleared, first_i, end_i):
         both = meets and to_meets and cleared
         down = both and (move_y * half - u * move_x) * (move_y * to_half - w * move_x) > 0.0
         up = both and (move_y * half + u * move_x) * (move_y * to_half + w * move_x) > 0.0
-        least = min(low if meets else np.inf, to_low if to_meets else np.inf) - (tiny if down else 2.0)
-        most = max(high if meets else -np.inf, to_high if to_meets else -np.inf) + (tiny if up else 2.0)
+        least = min(low if meets else np.inf, to_low if to_meets else np.inf) - (tiny if down else slack)
+        most = max(high if meets else -np.inf, to_high if to_meets else -np.inf) + (tiny if up else slack)
         beside = not (meets and cleared)
         none = not (meets or to_meets)
         rim[0, i] = np.int32(0 if none else np.ceil(least))

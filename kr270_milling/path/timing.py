@@ -308,13 +308,14 @@ def limit_by_joints(trajectory: Trajectory, joints, speed_limit, acceleration_li
                 break
             share /= np.where(over > 1, 1.02 * over, 1.0)
 
+    over = excess()
     for _ in range(200):
-        over = excess()
         if over.max() <= 1:
             break
         grow = np.sqrt(np.maximum(over, 1)) * np.where(over > 1, 1 + 1e-6, 1)
         step = step * np.maximum(grow[:-1], grow[1:])
-    step = step * max(1.0, np.sqrt(excess().max()) * (1 + 1e-9))
+        over = excess()
+    step = step * max(1.0, np.sqrt(over.max()) * (1 + 1e-9))
     ratio = step / old
     if not (ratio > 1).any():
         return trajectory

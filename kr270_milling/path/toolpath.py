@@ -96,24 +96,25 @@ class Toolpath:
     def __len__(self) -> int:
         return len(self.position)
 
-    @property
+    @functools.cached_property
     def block_length(self) -> np.ndarray:
         """Return the length of each block [m], (n,), along the arcs; 0 for block 0, LEVER times a turn in place."""
         length = np.hypot(self.plane_length, np.diff(self.position[:, 2], prepend=self.position[0, 2]))
         turns = np.flatnonzero(length[1:] == 0) + 1
         if turns.size:
             length[turns] = LEVER * turned(self.quaternion[turns - 1], self.quaternion[turns])
+        length.setflags(write=False)
         return length
 
     @property
     def ways(self) -> np.ndarray:
         """Return the way of the tool in each block [m], (n,): its length, at least LEVER times its turn."""
-        ways = self.block_length
+        ways = self.block_length.copy()
         if np.any(self.quaternion != self.quaternion[0]):
             ways[1:] = np.maximum(ways[1:], LEVER * turned(self.quaternion[:-1], self.quaternion[1:]))
         return ways
 
-    @property
+    @functools.cached_property
     def plane_length(self) -> np.ndarray:
         """Return the length of each block in the xy plane [m], (n,)."""
         chord = np.hypot(*np.diff(self.position[:, :2], axis=0, prepend=self.position[:1, :2]).T)

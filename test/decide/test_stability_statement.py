@@ -16,7 +16,9 @@ from kr270_milling.decide import stability
 from kr270_milling.decide.arcs import arcs_along
 from kr270_milling.decide.check import check
 from kr270_milling.decide.check_cut import residue_of
+from kr270_milling.decide.height_map import height_map, lower_along, on_map
 from kr270_milling.decide.stability import FEWEST_TEETH, modes_of, stability_statement
+from kr270_milling.physics.cutting import Stock
 from kr270_milling.studies.maps.lobes import lobes
 
 #: an arm that chatters: one light mode across the feed
@@ -184,3 +186,16 @@ def test_vibration_of_the_arm_grows_in_the_pass_above_the_limit_and_a_short_pass
     arrays = {key: value[:200] for key, value in vars(whole).items() if isinstance(value, np.ndarray)}
     result = residue_of(cell, dataclasses.replace(whole, **arrays))
     assert result.word == "no statement" and np.isnan(result.residue) and "no cut of" in result.text
+
+
+def test_a_long_straight_move_leaves_the_map_of_its_short_parts():
+    rng, stock = np.random.default_rng(3), Stock(min=np.array([0.0, 0.0, -5e-3]), max=np.array([0.04, 0.04, 0.0]))
+    for _ in range(20):
+        ends = np.column_stack([rng.uniform(0.0, 0.04, (6, 2)), rng.uniform(-2e-3, 0.0, 6)])
+        share = np.linspace(0.0, 1.0, 400, endpoint=False)[:, None]
+        short = np.concatenate([a + share * (b - a) for a, b in zip(ends[:-1], ends[1:], strict=True)])
+        radius = float(rng.uniform(0.5e-3, 6e-3))
+        grids = [height_map(stock, 2e-4, ends, radius) for _ in range(2)]
+        for grid, places in zip(grids, (ends, np.vstack([short, ends[-1:]])), strict=True):
+            lower_along(grid, radius, on_map(places))
+        assert np.allclose(grids[0].depth, grids[1].depth, rtol=0.0, atol=3e-7)

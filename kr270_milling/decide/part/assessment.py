@@ -134,17 +134,31 @@ def _of(measure, values: np.ndarray) -> float:
     return float(measure(values)) if values.size else np.nan
 
 
-def assess(cell: Cell, ran: ScoredPass, ideal: IdealPart | None = None, path: Stations | None = None) -> PartAssessment:
-    """Assess a pass of a cell; ideal: the part that the target itself leaves, path: its stations, if known already."""
-    return assess_result(cell, ran.name, ran.result, ideal, path)
+def assess(
+    cell: Cell,
+    ran: ScoredPass,
+    ideal: IdealPart | None = None,
+    path: Stations | None = None,
+    cut: CutModel | None = None,
+) -> PartAssessment:
+    """Assess a pass of a cell; ideal: the part that the target itself leaves, path: its stations, if known already.
+
+    cut: ``rigid_workpiece``, if known already.
+    """
+    return assess_result(cell, ran.name, ran.result, ideal, path, cut)
 
 
 def assess_result(
-    cell: Cell, name: str, result: PassResult, ideal: IdealPart | None = None, path: Stations | None = None
+    cell: Cell,
+    name: str,
+    result: PassResult,
+    ideal: IdealPart | None = None,
+    path: Stations | None = None,
+    cut: CutModel | None = None,
 ) -> PartAssessment:
     """Assess the series of a pass along the path of a cell, also of a plant that is not the cell."""
     path = path or stations_of(path_of(cell), result.time_ns)
-    ideal = ideal or ideal_part(cell, path, result.target)
+    ideal = ideal or ideal_part(cell, path, result.target, cut)
     return PartAssessment(
         name,
         path,

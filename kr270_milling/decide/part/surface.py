@@ -104,6 +104,17 @@ def machined(cut: CutModel, positions: np.ndarray, clock: Clock, run: Trajectory
     return cut
 
 
+def rigid_workpiece(cell: Cell, every: int = 1) -> CutModel:
+    """Return the workpiece after a rigid arm ran along the target; every: exchange periods from place to place."""
+    cut, target, clock = cut_of(cell, rigid=True), path_of(cell).target, path_of(cell).clock
+    last = clock.steps(target.duration_ns)
+    steps = np.append(np.arange(0, last, every), last)
+    stamps = clock.stamp(steps)
+    axes = tool_axis(target.sample_orientation(stamps)) if cut.tilts else None
+    cut.along(target.sample(stamps), steps * (clock.micro_steps if cut.teeth else 0), axes=axes)
+    return cut
+
+
 def heights_at(cut: CutModel, xy: np.ndarray) -> np.ndarray:
     """The part's surface z [m], (m,), at the nodes nearest to points (m, 2) [m]; NaN beside the stock."""
     stock, state = cut.stock, cut.state

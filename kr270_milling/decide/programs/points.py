@@ -332,6 +332,7 @@ def _errors(
 
     The larger one of both runs, (n,), of a knot or, on a spline, of the middle of the step after it. knots: those that
     may be points, (k,); middles that all of them miss by more than the tolerance are left out. None: no middle is.
+    The function may return the same array again.
     """
     runs, first = [original] if revised is original else [original, revised], np.arange(len(stops))
     spline = program.motion == "SPLINE"
@@ -345,11 +346,8 @@ def _errors(
             places = run.position[at]
             if spline:  # spans with the points and slopes of the time before keep their errors
                 slopes = natural_slopes(run.travelled[at], places, rests)
-                before, known, away = latest[i]
-                k = np.minimum(np.searchsorted(before, points[:-1]), len(before) - 2)
-                same = (before[k] == points[:-1]) & (before[k + 1] == points[1:])
-                same &= (known[k] == slopes).all(axis=(1, 2))
-                _farthest(run.travelled, run.position, first, points, slopes, np.flatnonzero(~same), away)
+                _farthest(run.travelled, run.position, first, points, slopes, *latest[i])
+                away = latest[i][2]
                 latest[i] = points, slopes, away
             else:
                 place = places_on_program(run, at, places, rests, False, program.blend_distance, auxiliary)
@@ -359,28 +357,42 @@ def _errors(
                 written = Trajectory(run.time_ns[at], places, run.quaternion[at])
                 angle = turned(written.sample_orientation(run.time_ns[first]), run.quaternion[first])
                 distances.append(LEVER * angle)
-        return np.max(distances, axis=0)
+        return distances[0] if len(distances) == 1 else np.max(distances, axis=0)
 
     latest = unknown()
     if spline and original.velocity is not None and revised.velocity is not None:
-        curves, middles = runs, original.time_ns[:-1] + np.diff(original.time_ns) // 2
-        for near in (True, False):
-            time_ns = _merged(original.time_ns, middles)
-            first = np.searchsorted(time_ns, original.time_ns)
-            runs = [Trajectory(time_ns, run.sample(time_ns), run.sample_orientation(time_ns)) for run in curves]
+        time_ns = _merged(original.time_ns, original.time_ns[:-1] + np.diff(original.time_ns) // 2)
+        first = np.searchsorted(time_ns, original.time_ns)
+        runs = [Trajectory(time_ns, run.sample(time_ns), run.sample_orientation(time_ns)) for run in runs]
+        latest = unknown()
+        if knots is not None:
+            near = np.ones(len(time_ns), bool)
+            near[first[:-1] + 1] = errors(knots)[:-1] <= program.tolerance
+            near[first] = True
+            time_ns, first = time_ns[near], (np.cumsum(near) - 1)[first]
+            turns = [run.quaternion[near] if run.turns else run.quaternion[0] for run in runs]
+            runs = [Trajectory(time_ns, run.position[near], turn) for run, turn in zip(runs, turns, strict=True)]
             latest = unknown()
-            if near and knots is not None:
-                middles = middles[errors(knots)[:-1] <= program.tolerance]
     return errors
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def _farthest(travelled, position, first, knots, slopes, spans, away):
-    """Fill the largest distance of the spline from positions (m, 3), from a knot to the next one, for knots of spans.
+def _farthest(travelled, position, first, knots, slopes, before, known, away):
+    """Fill the largest distance of the spline from positions (m, 3), from a knot to the next one.
 
-    travelled, first: see ``places_on_program`` and ``_errors``; slopes: of ``natural_slopes``.
+    travelled, first: see ``places_on_program`` and ``_errors``; slopes: of ``natural_slopes``. before, known: knots and
+    slopes for which ``away`` is filled.
     """
-    for k in spans:
+    earlier = 0
+    for k in range(len(knots) - 1):
+        while earlier < len(before) - 2 and before[earlier] < knots[k]:
+            earlier += 1
+        same = before[earlier] == knots[k] and before[earlier + 1] == knots[k + 1]
+        for i in range(2):
+            for j in range(3):
+                same = same and known[earlier, i, j] == slopes[k, i, j]
+        if same:
+            continue
         start, end = first[knots[k]], first[knots[k + 1]]
         for n in range(knots[k], knots[k + 1]):
             most = 0.0

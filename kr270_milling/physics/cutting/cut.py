@@ -72,7 +72,7 @@ class CutModel:
         self._make_room(n, math.dist(start[:3].tolist(), end[:3].tolist()))
         wrench, torque, volume = np.empty((2, 6)), np.empty(2), np.empty(2)
         steps = np.array([first, first + n], np.int64)
-        self._cut(self.params, np.array([start, end]), steps, forces, (wrench, torque, volume))
+        self._cut(self.state, self.params, np.array([start, end]), steps, forces, (wrench, torque, volume))
         self.refuse_failure()
         self.torque = float(torque[1])
         return wrench[1]
@@ -91,16 +91,16 @@ class CutModel:
         positions, steps = self.poses(positions, axes), np.ascontiguousarray(steps, np.int64)
         wrench, torque, volume = np.zeros((len(positions), 6)), np.zeros(len(positions)), np.zeros(len(positions))
         params = self.params if predicted else self.final_params
-        self._cut(params, positions, steps, NO_FORCES, (wrench, torque, volume))
+        self._cut(self.state_of_pass, params, positions, steps, NO_FORCES, (wrench, torque, volume))
         self.refuse_failure()
         return wrench, torque, volume
 
-    def _cut(self, params, poses: np.ndarray, steps: np.ndarray, forces: np.ndarray, out: tuple) -> None:
+    def _cut(self, state, params, poses: np.ndarray, steps: np.ndarray, forces: np.ndarray, out: tuple) -> None:
         """Cut from each pose to the next, reached at micro-steps (n,); out: see ``engage``."""
         if self.mean:
-            engage(self.state, params, params.flat, params.profile, *self.mean, poses, steps, *out)
+            engage(state, params, params.flat, params.profile, *self.mean, poses, steps, *out)
         else:
-            sweep_teeth(self.state, params, poses, steps, forces, *out)
+            sweep_teeth(state, params, poses, steps, forces, *out)
 
     def poses(self, positions: np.ndarray, axes: np.ndarray | None) -> np.ndarray:
         """Return the rows that a cut takes: positions (n, 3) [m]; with the axes (n, 3) where the tool tilts."""

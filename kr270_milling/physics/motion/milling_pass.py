@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
@@ -318,23 +319,33 @@ def run_pass(
         NO_FORCES,
     )
     area, volume, undercut, wall = cut.removed_area, cut.removed_volume, cut.undercut_volume, 0.0
-    for begin in range(0, max(n, 1), window):
-        end = min(begin + window, n)
-        stamps = clock.stamp(np.arange(begin, end + 1))
+
+    def sampled(begin: int) -> tuple[np.ndarray, ...]:
+        """Stamps of a window, what the cut takes there, the target, silent periods and pushes."""
+        stamps = clock.stamp(np.arange(begin, min(begin + window, n) + 1))
         poses = _poses(cut, reference, stamps)
         positions = poses[:, :3]
+        ahead = stamps if begin == 0 else np.append(clock.stamp(np.array([begin - 1])), stamps)
+        without = np.zeros(ahead.size, bool) if silent is None else silent_periods(silent(ahead))
+        programmed = positions if reference is target else target.sample(stamps)
+        pushes = model.push(reference, stamps, begin, positions)
+        return stamps, poses, programmed, without[-stamps.size :], pushes
+
+    beside = ThreadPoolExecutor(1)  # samples a window while the window before is cut
+    upcoming: Future | None = None
+    for begin in range(0, max(n, 1), window):
+        end = min(begin + window, n)
+        stamps, poses, programmed, without, pushes = upcoming.result() if upcoming else sampled(begin)
+        upcoming = beside.submit(sampled, end) if end < n else None
         buffers[0][0] = tool[-1]
         out = tuple(buffer[: stamps.size] for buffer in buffers)
         out[-1][:] = 0.0  # silent periods remove nothing
-        ahead = stamps if begin == 0 else np.append(clock.stamp(np.array([begin - 1])), stamps)
-        without = np.zeros(ahead.size, bool) if silent is None else silent_periods(silent(ahead))
-        arm = (model.push(reference, stamps, begin, positions), model.arrays)
         carried = (
             iterations,
             most,
             poses,
-            without[-stamps.size :],
-            arm,
+            without,
+            (pushes, model.arrays),
             state,
             wrench,
             (cut_state, cut.params),
@@ -356,11 +367,11 @@ def run_pass(
                 progress(last, n)
         wall += time.perf_counter() - start
         tool = out[0]
-        programmed = positions if reference is target else target.sample(stamps)
-        rows = _combined(every, int(begin > 0), (stamps, programmed, positions, tool[:, :3], *out[1:]))
+        rows = _combined(every, int(begin > 0), (stamps, programmed, poses[:, :3], tool[:, :3], *out[1:]))
         for values, new in zip(series.values(), rows, strict=True):
             values[filled : filled + len(new)] = new
         filled += len(rows[0])
+    beside.shutdown()
     return PassResult(
         **series,
         micro_steps=n * clock.micro_steps,
