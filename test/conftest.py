@@ -143,9 +143,7 @@ def every_json_answer():
 @pytest.fixture
 def few_robots(monkeypatch):
     """``robust`` plans for 4 simulated robots, in a quarter of the time, where a test is not about their number."""
-    from kr270_milling.cell.jobs import robot_passes
-
-    monkeypatch.setattr(robot_passes, "__defaults__", (4,))
+    monkeypatch.setattr("kr270_milling.cell.jobs.PLANNED", 4)
 
 
 @pytest.fixture(scope="session")

@@ -103,6 +103,17 @@ class Cell(Record):
         """Material that the earlier tools of the program remove."""
         return self.stage.earlier if self.stage else ()
 
+    def by_mean_force(self, level: bool = True) -> Cell:
+        """Return the cell cut with the mean force of the engagement, at the period and on the grid of that model.
+
+        level: the end is flat and the axis upright.
+        """
+        return self.replace(
+            cutting=self.cutting.replace(detail="engagement"),
+            exchange=self.exchange.for_engagement(self.tool.spindle_speed, level),
+            stock=self.stock.for_engagement(float(self.tool.radii.max())),
+        )
+
     def after(self, earlier: tuple[Removal, ...]) -> Cell:
         """The cell of a tool after the passes of the earlier tools of its program."""
         return self.replace(stage=replace(self.stage, earlier=earlier)) if self.stage else self

@@ -132,15 +132,16 @@ def _with_cut_model(cell: Cell) -> Cell:
         if detail == "auto":
             long_cutting = 60.0  # [s]; a longer cut is not swept tooth by tooth
             detail = "teeth" if level and cell.path.cutting_time <= long_cutting else "engagement"
-    speed, radius = cell.tool.spindle_speed, float(cell.tool.radii.max())
     if detail == "engagement":
-        exchange, stock = cell.exchange.for_engagement(speed, level), cell.stock.for_engagement(radius)
-    else:
-        tooth = 2.0 * math.pi / (speed * cell.tool.teeth)  # [s]
-        *feeds, length = cell.path.feeds
-        exchange = cell.exchange.for_teeth(speed, cell.cutting.end_share)
-        stock = cell.stock.for_teeth(radius, exchange.micro_step, (feeds[0] * tooth, feeds[1] * tooth), length)
-    return cell.replace(cutting=cell.cutting.replace(detail=detail), exchange=exchange, stock=stock)
+        return cell.by_mean_force(level)
+    speed = cell.tool.spindle_speed
+    tooth = 2.0 * math.pi / (speed * cell.tool.teeth)  # [s]
+    *feeds, length = cell.path.feeds
+    exchange = cell.exchange.for_teeth(speed, cell.cutting.end_share)
+    swept = float(cell.tool.radii.max()), exchange.micro_step, (feeds[0] * tooth, feeds[1] * tooth), length
+    return cell.replace(
+        cutting=cell.cutting.replace(detail=detail), exchange=exchange, stock=cell.stock.for_teeth(*swept)
+    )
 
 
 def _placed(cell: Cell, assigned: frozenset, path) -> Cell:

@@ -185,10 +185,10 @@ def _compensated(
     before, after = map(lambda ran, part: judge(cell, ran, part), (programmed, revised), parts or (None, None))
     rows: tuple[Limit, ...] = ()
     if judged and judged.within is not None and judged.within < ENOUGH * robots and checked.may_be_run:
-        with progress("limits"):
+        with progress("limits") as report:
             program = written_trajectory(cell, revised.reference, motion)
             # six robots of each unknown know the larger shares to a fifth
-            rows = limits(cell, program, max(2, robots // 5))
+            rows = limits(cell, program, max(2, robots // 5), report)
     shares = cell.uncertainty.least_backlash, cell.uncertainty.backlash
     backlash = backlash_statement(cell.arm.backlash, shares, checked.load_reversals, bool(judged))
     decision = decided(before, after, revised.name, checked, judged, comparison, backlash, rows)

@@ -14,6 +14,7 @@ A robot whose unknown k is measured keeps the share 1 - s_k of the square of its
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
@@ -69,10 +70,12 @@ class Limit:
         return int(np.sum(shares * np.sqrt(1.0 - self.share) <= 1.0))
 
 
-def limits(cell: Cell, reference: Trajectory, count: int) -> tuple[Limit, ...]:
+def limits(
+    cell: Cell, reference: Trajectory, count: int, progress: Callable[[int, int], object] = lambda done, of: None
+) -> tuple[Limit, ...]:
     """The unknowns of a cell along the reference of a program, the largest share first.
 
-    count: robots for each unknown, at least two.
+    count: robots for each unknown, at least two; progress(done, all): called after each robot.
     """
     model, assumed = coarser(cell), cell.uncertainty
     if assumed.learned.size:  # a measured part ties the unknowns to each other
@@ -88,8 +91,11 @@ def limits(cell: Cell, reference: Trajectory, count: int) -> tuple[Limit, ...]:
         if any(np.any(value) for value in left.values()):
             other = model.replace(uncertainty=known.replace(**left))
             drawn += [(name, robot_of(other, row)) for row in _hypercube(count, numbers_of(other))]
+    ran_rows = []
     with ThreadPoolExecutor(at_once(path_of(model))) as pool:
-        ran_rows = list(pool.map(lambda one: _deviation(model, one[1], reference, scored), drawn))
+        for row in pool.map(lambda one: _deviation(model, one[1], reference, scored), drawn):
+            ran_rows.append(row)
+            progress(len(ran_rows), len(drawn))
     size = {}
     for name in dict.fromkeys(name for name, _ in drawn):
         some = [row for (other, _), row in zip(drawn, ran_rows, strict=True) if other == name and row is not None]
