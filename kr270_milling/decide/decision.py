@@ -71,7 +71,7 @@ class Limit:
 
 
 def limits(
-    cell: Cell, reference: Trajectory, count: int, progress: Callable[[int, int], object] = lambda done, of: None
+    cell: Cell, reference: Trajectory, count: int, progress: Callable[[int, int], object] | None = None
 ) -> tuple[Limit, ...]:
     """The unknowns of a cell along the reference of a program, the largest share first.
 
@@ -95,7 +95,8 @@ def limits(
     with ThreadPoolExecutor(at_once(path_of(model))) as pool:
         for row in pool.map(lambda one: _deviation(model, one[1], reference, scored), drawn):
             ran_rows.append(row)
-            progress(len(ran_rows), len(drawn))
+            if progress:
+                progress(len(ran_rows), len(drawn))
     size = {}
     for name in dict.fromkeys(name for name, _ in drawn):
         some = [row for (other, _), row in zip(drawn, ran_rows, strict=True) if other == name and row is not None]
