@@ -117,7 +117,7 @@ class CompliantRobot(ManagedNode):
             self._given_up = True
             self.report(ERROR, f"{what}; the cutting process is gone and the pass is given up")
         elif self._wrench.get_publisher_count() > 1:
-            self.report(ERROR, "two nodes publish wrench, and the first answer to a pose counts: stop one of them")
+            self.report(WARN, "two nodes publish wrench, and the first answer to a pose counts: stop one of them")
         elif self._silence.is_due(silent):
             self.report(WARN, f"no wrench for {SILENT:g} s from the cutting process")
 
