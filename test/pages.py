@@ -34,7 +34,7 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = (
     ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "kr270_milling/guide").rglob("*.md")),
-    *sorted(page for folder in ("config", "kr270_milling", "test") for page in (ROOT / folder).rglob("README.md")),
+    *sorted(page for folder in ("config", "test") for page in (ROOT / folder).rglob("README.md")),
 )  # fmt: skip
 FENCE = re.compile(r"^```(\w*) ?([^\n]*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 COMMAND = re.compile(r"^(cat > (\S+) <<'EOF'\n(.*?)^EOF$|[^\n]+)\n?", re.MULTILINE | re.DOTALL)

@@ -21,7 +21,7 @@ from kr270_milling.cell.paths import CellPath
 from kr270_milling.cell.plant import DIVERGED, Plant, coarser, cores, perturbed
 from kr270_milling.path.trajectory import Trajectory
 from kr270_milling.physics.compensation.compensator import Compensator
-from kr270_milling.physics.compensation.learning import CellModels, Learner
+from kr270_milling.physics.compensation.learning import LONG, CellModels, Learner
 from kr270_milling.physics.compensation.method import Method
 from kr270_milling.physics.compensation.methods import method_of
 from kr270_milling.physics.compensation.response import ArmResponse, Lag
@@ -33,7 +33,7 @@ from kr270_milling.physics.motion.milling_pass import PassResult, run_pass
 from kr270_milling.physics.motion.scores import Scores, score
 
 FEW_PERIODS = 500_000  #: exchange periods of a pass that is not long, some 200 bytes each: 33 min at 4 ms
-PLANNED = 16  #: simulated robots for which ``robust`` plans
+PLANNED = 16  #: simulated robots for which ``robust`` plans in a long program, half of those in others
 
 
 @dataclass(frozen=True, eq=False)
@@ -168,12 +168,14 @@ def robot_passes(cell: Cell, target: Trajectory, reference: Trajectory) -> list[
 
     Repeatability shifts each pass by chance, so it is left out. A robot that is unstable is left out, too. The robots
     differ by deviations that the mean force shows as well as the teeth: a plan along a program leaves the robots of a
-    verdict as much error with either model, and the mean force takes a tenth of the time.
+    verdict as much error with either model, and the mean force takes a tenth of the time. With twice the robots a
+    program of some minutes leaves less.
     """
     planning_seed = 1_000_000  # seed of these robots: the seeds of a verdict are smaller
     mean_force = cell if cell.cutting.by_engagement or not cell.path.file else cell.by_mean_force()
     model, rng = coarser(mean_force), np.random.default_rng(planning_seed)
-    drawn = [model.replace(imperfections=Imperfections()), *(perturbed(model, rng) for _ in range(PLANNED))]
+    count = PLANNED if target.duration_ns >= LONG else 2 * PLANNED
+    drawn = [model.replace(imperfections=Imperfections()), *(perturbed(model, rng) for _ in range(count))]
 
     def run(robot: Cell) -> tuple[ArmResponse, PassRecord] | None:
         try:
