@@ -142,7 +142,7 @@ def every_json_answer():
 
 @pytest.fixture
 def few_robots(monkeypatch):
-    """``robust`` plans for 4 simulated robots, in a quarter of the time, where a test is not about their number."""
+    """``robust`` plans for 8 simulated robots, in a quarter of the time, where a test is not about their number."""
     monkeypatch.setattr("kr270_milling.cell.jobs.PLANNED", 4)
 
 

@@ -13,7 +13,7 @@ from kr270_milling.base.column import as_dict
 from kr270_milling.base.errors import ConfigError, ParameterError
 from kr270_milling.base.parameter_file import find_file
 from kr270_milling.cell.cell_file import read_cell
-from kr270_milling.cell.jobs import compensated, compensator, expected_deviations, record_of, simulate
+from kr270_milling.cell.jobs import compensated, compensator, expected_deviations, record_of, robot_passes, simulate
 from kr270_milling.cell.models import modal_model_of, path_of
 from kr270_milling.cell.plant import perturbed
 from kr270_milling.cell.sections import Tolerances
@@ -477,6 +477,15 @@ def test_with_the_inertia_of_the_arm_the_verdict_recommends_the_lifted_model(cel
     verdict = monte_carlo(moving, spline.reference, 2, method="spline", others=others)
     assert as_dict(verdict)["recommended_method"] == verdict.recommended in others
     assert np.quantile(verdict.methods[TRACKED], 0.95) < np.quantile(verdict.methods["inverse"], 0.95)
+
+
+def test_robust_plans_with_the_mean_force_and_for_twice_the_robots_where_the_program_is_short(tmp_path, few_robots):
+    """The sweep of the teeth exchanges every 0.25 ms, the mean force every 4 ms."""
+    cell = small_part(tmp_path, GCODE, "cutting.detail=teeth")
+    target = path_of(cell).target
+    passes = robot_passes(cell, target, target)
+    assert len(passes) == 1 + 2 * 4
+    assert np.diff(passes[0][1].time_ns[:2])[0] == pytest.approx(4e6, rel=0.02)
 
 
 def test_the_linear_model_ranks_the_methods_of_a_tool_path_as_passes_do(tmp_path, few_robots):
